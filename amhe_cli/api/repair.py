@@ -144,7 +144,7 @@ def _tried(
     try:
         given = merged(system.given, {"parameters": entries})
         other = System.load(system.folder, given, schema=type(system.settings), warn=False)
-        fixed = {one: value for one, value in system.fixed.items() if one not in other.fixed}
+        fixed = {one: value for one, value in system.fixed.items() if one not in {**other.fixed, **entries}}
         found = identify(other.fixing(fixed), logs, **how)
         fitted, clips = best.logs, system.settings.clips
         if best.held_out:

@@ -111,11 +111,14 @@ def init(
     Its system.yaml is commented: the signals matched to joints by name, candidate parameters, and what
     was guessed. Read it, correct it, then: amhe identify LOG --system DIR.
     """
+    from amhe_cli.cli.inspect import looked_at
     from amhe_cli.init.folder import init_system
     from amhe_cli.init.from_library import Chosen
     from amhe_cli.init.ros_packages import packages_in
+    from amhe_cli.logs import inspect_log, members
     from amhe_cli.report.folder import reserve
     from amhe_cli.system.model.urdf import UrdfOptions, is_urdf
+    from amhe_cli.system.system import System
 
     if not drives and (volts is not None or gain_p is not None):
         raise click.UsageError("--volts and --gain-p belong to --drive")
@@ -137,6 +140,10 @@ def init(
         backlash=backlash,
         drives=Chosen(drives, volts, gain_p) if drives else None,
     )
+    system = System.load(folder, warn=False)
+    for log in (one.path for path in logs for one in members(path, system)):
+        remarks = looked_at(inspect_log(log, system, msg_path=msg_path), system).remarks
+        guessed += [f"{log}: {remark}" for remark in remarks]
     if session.json:
         session.print_json(session.record(system=str(folder), guessed=guessed))
         return

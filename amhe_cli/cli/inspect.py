@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from amhe_cli.cli.inputs import Inputs
     from amhe_cli.logs import Inspection
     from amhe_cli.logs.data_set import Member
+    from amhe_cli.system.system import System
 
 
 @click.command(cls=parsing.Command, short_help="What is in a log, and what a system lacks in it.")
@@ -57,7 +58,7 @@ def _inspection(log: Member, inputs: Inputs) -> Inspection:
     if inputs.system or named in bundled_systems():
         system = inputs.open([path]).reading(log.topics)
         start, end = log.start or inputs.start, log.end or inputs.end
-        return inspect_log(path, system, start=start, end=end, msg_path=inputs.msg_path)
+        return looked_at(inspect_log(path, system, start=start, end=end, msg_path=inputs.msg_path), system)
     if inputs.topics or inputs.start is not None or inputs.end is not None:
         raise ConfigError("--topic, --from and --to are about a system's signals: name it with --system")
     if named:
@@ -69,3 +70,18 @@ def _inspection(log: Member, inputs: Inputs) -> Inspection:
             named,
         )
     return inspect_log(path, msg_path=inputs.msg_path)
+
+
+def looked_at(found: Inspection, system: System) -> Inspection:
+    """An inspection with remarks on what is wrong in the log at first sight."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    from amhe_cli.estimation.explain.first_look import first_look
+
+    if found.log is None:
+        return found
+    columns = [name for topic in found.survey.topics if topic.encoding == "table" for name in topic.entries]
+    remarks = first_look(system, found.log, columns, np.random.default_rng(0))
+    return replace(found, remarks=tuple(remarks))

@@ -60,6 +60,7 @@ class Signal:
         switch: Series and value: where that has another value, it is not active.
         factors: Quantity -> factor from the unit of the log's file to SI, where it is not 1.
         wraps: The positions in the file are angles that jump by a turn; they are unwrapped.
+        reversed: Columns that have the other sign in the file.
     """
 
     name: str
@@ -78,6 +79,7 @@ class Signal:
     switch: tuple[str, float] | None = None
     factors: Mapping[str, float] = field(default_factory=dict)
     wraps: bool = False
+    reversed: tuple[int, ...] = ()
 
     @property
     def held(self) -> bool:

@@ -13,7 +13,8 @@ FACTORS: Mapping[str, float] = {
     "deg": np.pi / 180.0, "degree": np.pi / 180.0, "degrees": np.pi / 180.0, "°": np.pi / 180.0,
     "deg/s": np.pi / 180.0, "deg/sec": np.pi / 180.0, "degrees/s": np.pi / 180.0, "dps": np.pi / 180.0,
     "°/s": np.pi / 180.0, "rpm": np.pi / 30.0, "mrad": 1e-3, "mm": 1e-3, "cm": 1e-2, "mm/s": 1e-3,
-    "mNm": 1e-3, "Ncm": 1e-2, "mA": 1e-3,
+    "mNm": 1e-3, "Ncm": 1e-2, "mA": 1e-3, "mV": 1e-3, "turn": 2.0 * np.pi,
+    **{f"1/{2**bits} turn": 2.0 * np.pi / 2**bits for bits in range(8, 21)},
 }  # fmt: skip
 
 

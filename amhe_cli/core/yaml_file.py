@@ -224,21 +224,39 @@ class YamlFile:
     def with_entries(self, group: str, entries: Sequence[tuple[str, Any, str]]) -> str:
         """The file's text with more entries at the start of a group, all else as it is.
 
+        A mapping that the group has already is merged with the new one where it stands.
+
         Args:
             group: Key of a mapping at the top; made at the end where the file has none.
             entries: Name, value, and a comment of one line above them ('': none).
         """
-        lines = self.path.read_text(encoding="utf-8").splitlines(keepends=True)
+        text = self.path.read_text(encoding="utf-8")
         pairs = self._node.value if isinstance(self._node, yaml.MappingNode) else []
         key, node = next((pair for pair in pairs if pair[0].value == group), (None, None))
         flowing = isinstance(node, yaml.MappingNode) and bool(node.flow_style)
-        first = node.value[0][0].start_mark if isinstance(node, yaml.MappingNode) and node.value else None
+        inside = node.value if isinstance(node, yaml.MappingNode) else []
+        first = inside[0][0].start_mark if inside else None
         indent = " " * (first.column if first and not flowing else 2)
+        here = {one.value: value for one, value in inside}
+        more = {name: (value, comment) for name, value, comment in reversed(entries)}
+        for name in sorted(here.keys() & more, key=lambda name: -here[name].start_mark.index):
+            value, comment = more.pop(name)
+            start, end, deeper = here[name].start_mark.index, here[name].end_mark.index, f"\n{2 * indent}"
+            own = text[start:end].splitlines(keepends=True)
+            while own and own[-1].strip()[:1] in ("", "#"):  # it is about what follows
+                del own[-1]
+            end = start + len("".join(own).rstrip())
+            said = f"{deeper}# {printable(comment)}" * bool(comment)
+            changed = f"{said}{deeper}{flow(merged(self.own[group][name] or {}, value))}"
+            text = text[:start].rstrip() + changed + text[end:]
         new = "".join(
             f"{indent}# {printable(comment)}\n" * bool(comment)
             + f"{indent}{flow(name)}: {flow(value)}{',' * flowing}\n"
-            for name, value, comment in entries
+            for name, (value, comment) in reversed(more.items())
         )
+        if not new:
+            return text
+        lines = text.splitlines(keepends=True)
         if key is None or node is None:
             return "".join(lines).rstrip("\n") + f"\n\n{group}:\n{new}"
         if first and not flowing:  # before comments about the first entry

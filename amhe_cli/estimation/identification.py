@@ -145,10 +145,7 @@ def searched_for(
 def _warn(system: System, problem: Problem) -> None:
     """Warn of what is wrong in the logs, and of parameters that they do not depend on."""
     for wrong in () if problem.touches else mended(system, problem.pool.parts, problem.rng(8))[:1]:
-        logger.warning(
-            f"{wrong.text}: put right, {wrong.share:.0%} of the motion that the prior does not explain goes; "
-            "nothing was changed"
-        )
+        logger.warning(wrong.sentence)
     for name, reason in problem.idle.items():
         logger.warning(f"{name} is held at its prior: {reason}")
 

@@ -253,9 +253,12 @@ def _with_tables(topics: Sequence[Topic], model: mujoco.MjModel) -> list[Topic]:
     """The topics, with tables replaced by the joint states and commands that their columns hold."""
     tables = [topic for topic in topics if topic.type == TABLE]
     motors = [a for a in names_of(model, "actuator") if commanded(model, model.actuator(a).id) == "effort"]
-    driven = [joint for actuator in motors if (joint := joint_of(model, actuator))]
     joints, alone = single_joints(model), len(tables) == 1
-    held = [part for table in tables for part in topics_in(table, joints, driven, alone) or [table]]
+    actuated, driven = (
+        [joint for joint in joints if joint in {joint_of(model, actuator) for actuator in some}]
+        for some in (names_of(model, "actuator"), motors)
+    )
+    held = [part for table in tables for part in topics_in(table, joints, actuated, driven, alone) or [table]]
     return [*(topic for topic in topics if topic.type != TABLE), *held]
 
 

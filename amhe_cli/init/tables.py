@@ -23,6 +23,8 @@ _QUANTITIES = {
 _MEASURED = ("", "measured", "meas", "actual", "act", "state", "raw", "filtered", "filt")
 #: Words in the name of a column that holds commands.
 _COMMANDED = {*COMMANDS, "con", "des", "soll"}
+#: Words in the name of a column that holds what a drive was given, if it is not that of its supply.
+_DRIVING, _SUPPLY = {"voltage", "voltages", "volt", "volts", "duty", "pwm", "u"}, {"battery", "supply", "bus"}
 #: How LeRobot calls the measured and the commanded positions of joints.
 _LEROBOT = re.compile(r"^(observation\.state|action)(\.|$|\[)")
 
@@ -45,21 +47,25 @@ class _Meaning:
         return self.rank, lerobot.group(1) if lerobot else re.sub(r"\d+", "#", self.column)
 
 
-def topics_in(table: Topic, joints: Sequence[str], driven: Sequence[str], alone: bool) -> list[Topic]:
+def topics_in(
+    table: Topic, joints: Sequence[str], actuated: Sequence[str], driven: Sequence[str], alone: bool
+) -> list[Topic]:
     """Joint states and joint commands that a table holds, each as a topic with its columns.
 
     Args:
         table: The table: its columns are its entries.
         joints: Single joints of the model, in its order.
+        actuated: Those with an actuator.
         driven: Joints with an actuator that takes a torque.
         alone: The log has no other table: its name means nothing, and measured torques of `driven` may be all
             that drives the model.
     """
     named = "" if alone else table.name
-    meanings = [m for column in table.entries if (m := _meaning(named, column)) is not None]
+    meanings = [m for column in table.entries if (m := _meaning(named, column, joints)) is not None]
     head = named or "the table"
     states = _topic(head, table, [m for m in meanings if not m.command], joints, alone)
-    commands = _topic(f"{head} command", table, [m for m in meanings if m.command], joints, alone)
+    given, name = [m for m in meanings if m.command], f"{head} command"
+    commands = _topic(name, table, given, actuated, alone) or _topic(name, table, given, joints, alone)
     if commands is None and states is not None and alone and driven and "effort" in states.columns:
         effort = {"effort": states.columns["effort"]}
         commands = replace(states, name=f"{head} command", quantities=("effort",), columns=effort)
@@ -88,20 +94,23 @@ def with_columns(guess: Guess, topics: Sequence[Topic], alone: bool) -> None:
     guess.entry = ({} if alone else {"topic": topic.table}) | {"columns": columns} | rest
 
 
-def _meaning(table: str, column: str) -> _Meaning | None:
+def _meaning(table: str, column: str, joints: Sequence[str]) -> _Meaning | None:
     name, _, count = column.removesuffix("]").partition("[")
     parts = [w for word in words(name) for w in re.findall(r"[a-z]+|\d+", word)]
     quantity = next((_QUANTITIES[word] for word in parts if word in _QUANTITIES), None)
     lerobot = _LEROBOT.match(name)
-    if quantity is None and (lerobot or _COMMANDED & set(parts)):
-        quantity = "position"  # as of `elbow_cmd`
+    driving = bool(_DRIVING & set(parts)) and not _SUPPLY & set(parts)
+    if quantity is None and driving:
+        quantity = "effort"
+    if quantity is None and (lerobot or _COMMANDED & set(parts) or "_".join(parts) in map(_bare, joints)):
+        quantity = "position"  # as of `elbow_cmd`, or `elbow`
     if quantity is None or "time" in parts:
         return None
     if lerobot:
         parts = [lerobot.group(1).split(".")[-1], *parts[2 if "." in lerobot.group(1) else 1 :]]
     rest = [word for word in parts if word not in _QUANTITIES]
-    command = bool(_COMMANDED & set(rest)) or bool(COMMANDS & set(words(table)))
-    rest = [word for word in rest if word not in _COMMANDED]
+    command = driving or bool(_COMMANDED & set(rest)) or bool(COMMANDS & set(words(table)))
+    rest = [word for word in rest if word not in _COMMANDED | _DRIVING]
     measured = [word for word in rest if word in _MEASURED]
     entry = "_".join(word for word in rest if word not in _MEASURED and word not in KINDS)
     return _Meaning(

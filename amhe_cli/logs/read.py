@@ -128,7 +128,7 @@ def inspect_log(
     if isinstance(log, str):
         return Inspection(found, system.name, checks, problem=log)
     warn_of(log, system)
-    return Inspection(found, system.name, checks, log.duration)
+    return Inspection(found, system.name, checks, log.duration, log=log)
 
 
 def _check(signal: Signal, alone: Log | str) -> SignalCheck:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from amhe_cli.core.arrays import IntArray
+from amhe_cli.core.log import Log
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs.clocks import Clock, Stamp, header_steps, offset_words, step_words, timeline
 from amhe_cli.logs.containers.folder import open_log
@@ -121,6 +122,8 @@ class Inspection:
         checks: One check for each of the system's signals.
         duration: Time in which all signals are there [s].
         problem: Why the log cannot be used, though each signal can be read; None if it can be used.
+        log: The log as the system reads it; None where it cannot.
+        remarks: What is wrong in it, in sentences.
     """
 
     survey: Survey
@@ -128,6 +131,8 @@ class Inspection:
     checks: tuple[SignalCheck, ...] = ()
     duration: float = 0.0
     problem: str | None = None
+    log: Log | None = None
+    remarks: tuple[str, ...] = ()
 
     @property
     def usable(self) -> bool | None:

@@ -63,6 +63,9 @@ class SignalTrack:
         values = self.carried(quantity)
         if values is not None and quantity in self.signal.factors:
             values = values * self.signal.factors[quantity]
+        if values is not None and self.signal.reversed:
+            values = np.array(values)
+            values[:, list(self.signal.reversed)] *= -1.0
         if values is not None and self.signal.wraps and quantity == "position":
             values = unwrapped(values)
         return values

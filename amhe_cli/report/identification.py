@@ -145,7 +145,8 @@ def _write_system(copy: Path, system: System, kept: Sequence[Repair]) -> None:
         for one in reversed(kept)
         for i, (name, entry) in enumerate(one.parameters.items())
     ]
-    text = YamlFile(system.folder / FILE_NAME).with_entries("parameters", entries)
+    newest = {name: (name, entry, why) for name, entry, why in reversed(entries)}
+    text = YamlFile(system.folder / FILE_NAME).with_entries("parameters", [*newest.values()][::-1])
     (copy / FILE_NAME).write_text(text, encoding="utf-8")
     try:
         System.load(copy, schema=type(system.settings), warn=False)

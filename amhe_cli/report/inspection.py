@@ -32,6 +32,7 @@ def inspection_record(found: Inspection) -> dict[str, Any]:
             "usable": found.usable,
             "usable_seconds": found.duration,
             "problem": found.problem,
+            "remarks": found.remarks,
             "signals": [
                 {
                     "name": check.signal.name,
@@ -135,6 +136,8 @@ def _print_suitability(found: Inspection, console: Console) -> None:
         found_text = f"found, without gaps in {numbers.percent(check.valid)} of the time"
         answer = Text(check.problem or found_text, style="yellow" if check.problem else "green")
         console.print(Padding(answer, (0, 0, 0, 4), expand=False))
+    for remark in found.remarks:
+        console.print(printable(remark), style="yellow", soft_wrap=True)
     if found.usable:
         console.print(f"usable: {found.duration:.4g} s with all signals", style="green")
     else:

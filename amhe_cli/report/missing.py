@@ -14,7 +14,7 @@ from amhe_cli.report.comparison import heads, horizon_record, together
 from amhe_cli.report.figures import missing_figure
 from amhe_cli.report.held_out import sized
 from amhe_cli.report.page import Key, Section
-from amhe_cli.report.tables import NUMBER, STRONG, Table, rich_table
+from amhe_cli.report.tables import NUMBER, STRONG, TEXT, Table, rich_table
 
 
 def missing_record(found: Missing | None) -> dict[str, Any] | None:
@@ -30,7 +30,7 @@ def missing_table(found: Missing) -> Table:
     """One line for each cause: where, what, what it explains, and what `--repair` calls it."""
     return Table(
         ("where", "what the model lacks, or the log has wrong", "explains", "repair"),
-        ("", STRONG, NUMBER, ""),
+        ("", TEXT, NUMBER, ""),
         [
             (row.place, _text(row), numbers.percent(row.share), row.name if row.repair else "")
             for row in found.rows

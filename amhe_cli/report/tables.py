@@ -13,6 +13,8 @@ from rich.text import Text
 NUMBER = "number"
 #: Look of the numbers that matter most.
 STRONG = "number strong"
+#: A look of sentences, which may take several lines of a terminal.
+TEXT = "text"
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +41,7 @@ class Table:
 
 
 def rich_table(table: Table, styles: Mapping[str, str] | None = None) -> rich.table.Table:
-    """A table for a terminal that cuts no text.
+    """A table for a terminal that cuts no text; sentences may take several lines.
 
     Args:
         table: The table; its remarks are left out.
@@ -47,7 +49,7 @@ def rich_table(table: Table, styles: Mapping[str, str] | None = None) -> rich.ta
     """
     made = rich.table.Table(box=rich.box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
     for name, look in zip(table.head, table.looks, strict=True):
-        made.add_column(name, justify="right" if "number" in look else "left", no_wrap=True)
+        made.add_column(name, justify="right" if "number" in look else "left", no_wrap=look != TEXT)
     for row in table.rows:
         made.add_row(*(Text(text, style=(styles or {}).get(text.partition(":")[0], "")) for text in row))
     return made

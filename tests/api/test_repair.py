@@ -165,7 +165,15 @@ def test_wrong_names_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[
 
 
 @pytest.mark.parametrize(
-    "group", ["  m: {a: 1}", " {m: {a: 1}}  # x", " {}", "  # nothing", " {m: {a: 1},\n    n: {a: 2}}"]
+    "group",
+    [
+        "  m: {a: 1}",
+        "  m:  # x\n    a: 1\n  # of n\n  n: {a: 2}",
+        " {m: {a: 1}}  # x",
+        " {}",
+        "  # nothing",
+        " {m: {a: 1},\n    n: {a: 2}}",
+    ],
 )
 def test_entries_are_added_to_a_file_and_all_else_stays(tmp_path: Path, group: str) -> None:
     path = tmp_path / "system.yaml"
@@ -180,5 +188,9 @@ def test_entries_are_added_to_a_file_and_all_else_stays(tmp_path: Path, group: s
     own = file.own["parameters"] or {}
     assert YamlFile(path).own == {**file.own, "parameters": {"k": entry, "r": entry, **own}}
     assert path.read_text().count("# why: [x]\n") == 1
+    again = YamlFile(path).with_entries("parameters", [("m", {"b": 7}, "so")])
+    merged = {"m": {**own.get("m", {}), "b": 7}}
+    assert scalar(again)["parameters"] == {"k": entry, "r": entry, **own, **merged}
+    assert "# so\n" in again and ("# x" in again) == ("# x" in path.read_text())
     path.write_text("model: m.xml\n")
     assert scalar(YamlFile(path).with_entries("parameters", [("k", entry, "")]))["parameters"] == {"k": entry}

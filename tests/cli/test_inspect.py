@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+import mujoco
+import numpy as np
 import pytest
 
 from amhe_cli.cli.main import run
@@ -73,3 +75,40 @@ def test_a_log_about_an_unknown_system_shows_its_topics_and_the_name(tmp_path: P
     assert "/joint_states" in out
     assert "about the system '/home/me/mine', which does not come with amhe: with --system DIR" in err
     assert run(["identify", str(log)]) == 2
+
+
+ARM = """<mujoco><option timestep="0.002"/><default><geom contype="0" conaffinity="0"/></default><worldbody>
+<body><joint name="arm" axis="0 0 1" damping="0.01" armature="0.001"/>
+<geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.008" mass="0.1"/><body pos="0.2 0 0">
+<joint name="pendulum" axis="1 0 0" damping="0.0005"/>
+<geom type="capsule" fromto="0 0 0 0 0 -0.25" size="0.006" mass="0.08"/></body></body></worldbody>
+<actuator><general name="motor" joint="arm" gainprm="0.1" biastype="affine" biasprm="0 0 -0.01"/></actuator>
+</mujoco>"""
+
+
+def test_a_sign_is_named_before_a_fit_and_mended_by_one_key(tmp_path: Path, capsys) -> None:
+    """A motor's voltage, and joints in columns of their own names, one with the other sign."""
+    model = mujoco.MjModel.from_xml_string(ARM)
+    data, rows = mujoco.MjData(model), []
+    hertz = np.geomspace(0.4, 2.5, 6)
+    for k in range(1000):
+        u = float(np.sin(2.0 * np.pi * hertz * 0.01 * k + np.arange(6.0)).sum()) - data.qpos[0]
+        rows.append([0.01 * k, data.qpos[0], -data.qpos[1], u, 25.0])
+        data.ctrl[0] = u
+        mujoco.mj_step(model, data, 5)
+    (tmp_path / "robot.xml").write_text(ARM)
+    log, system = tmp_path / "log.csv", tmp_path / "system"
+    head = "time,arm,pendulum,voltage,temperature"
+    np.savetxt(log, rows, delimiter=",", header=head, comments="")
+
+    assert run(["init", str(tmp_path / "robot.xml"), str(log), "-o", str(system)]) == 0
+
+    out = capsys.readouterr().out
+    assert "columns that no signal reads: temperature" in out
+    assert "the log's pendulum has the other sign: put right, " in out and "reversed: [pendulum]" in out
+    text = (system / "system.yaml").read_text()
+    assert "columns: {effort: [voltage]}" in text
+    whole = text.replace("joints: [arm, pendulum]", "joints: [arm, pendulum]\n    reversed: [pendulum]")
+    (system / "system.yaml").write_text(whole)
+    assert run(["inspect", str(log), "--system", str(system)]) == 0
+    assert "other sign" not in capsys.readouterr().out

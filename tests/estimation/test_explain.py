@@ -84,6 +84,18 @@ def test_the_simpler_of_two_that_explain_alike_is_named() -> None:
     assert [(one.index, one.rivals) for one in found] == [(1, (0,))]
 
 
+def test_what_cannot_be_is_not_named() -> None:
+    """A coefficient beyond the largest that can be: less friction than the model has."""
+    rng = np.random.default_rng(2)
+    columns, noise = _columns(rng)
+    residual = 0.5 * columns[2].values[0] + 0.3 * noise
+    some = [replace(columns[2], most=0.1), *columns[3:9]]
+
+    found, *_ = _regression(residual, columns[9].values).ladder(some, rng)
+
+    assert not any(one.index == 0 for one in found)
+
+
 # -- the bundled pendulum, and logs of it that are wrong on purpose ----------------------------------------
 
 
@@ -150,14 +162,15 @@ def test_what_lets_a_model_have_a_cause_is_valid(pendulum: tuple[amhe.System, am
     found = unexplained(free, [whole(log)], np.zeros(1))
     assert found is not None
     kinds = set()
-    for cause in causes(system, found, found.forces.by - found.uncommanded):
+    for cause in causes(free, found, found.forces.by - found.uncommanded):
         c = sign * np.full(len(cause.force), 0.013)
         if entries := cause.repair(c, np.abs(c)) if cause.repair else {}:
             kinds.add(cause.kind)
             loaded = amhe.System.load("pendulum", {"parameters": {**bare, **entries}}, warn=False)
-            assert entries.keys() <= set(loaded.space.names)
+            assert entries.keys() <= {*loaded.space.names, *loaded.fixed}
     expected = {"load friction", "stribeck", "spring"} if sign < 0.0 else {"delay"}
-    assert kinds == expected | {"quadratic", "gain"}
+    expected |= {"viscous", "dry", "armature"}  # these are parameters that are fixed here
+    assert kinds == expected | {"quadratic", "gain", "servo limit", "constant", "sine"}
 
 
 def test_late_commands_are_named_with_their_delay(pendulum: tuple[amhe.System, amhe.Log]) -> None:
@@ -232,3 +245,41 @@ def test_identify_says_what_the_model_lacks(sprung: tuple[amhe.System, amhe.Log]
     assert result.record()["missing"]["rows"][0]["kind"] == "spring"
     page = (result.save(tmp_path) / "report.html").read_text(encoding="utf-8")
     assert "What is missing" in page
+
+
+def test_a_servo_that_acts_inside_a_limit_is_named_with_its_speed() -> None:
+    """A drive by voltage: 60 N m/rad up to 2.45 N m, less 0.38 N m s/rad; its model is stiff to less."""
+    lever = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body>
+      <joint name="lever" axis="0 1 0" damping="0.05" armature="0.01"/><geom pos="0 0 -0.2" size="0.03"
+      mass="0.35"/></body></worldbody><actuator>{}</actuator></mujoco>"""
+    model = mujoco.MjModel.from_xml_string(lever.format('<motor joint="lever"/>'))
+    data, rng, rows, target, due = mujoco.MjData(model), np.random.default_rng(0), [], 0.0, 0.0
+    for k in range(1500):
+        if 0.01 * k >= due:
+            target, due = rng.uniform(-1.4, 1.4), due + rng.uniform(0.5, 1.2)
+        rows.append([0.01 * k, target, data.qpos[0] + rng.normal(0.0, 5e-4)])
+        for _ in range(5):
+            data.ctrl[0] = (
+                2.45 * np.clip(60.0 / 2.45 * (target - data.qpos[0]), -1.0, 1.0) - 0.377 * data.qvel[0]
+            )
+            mujoco.mj_step(model, data)
+    time, targets, q = np.array(rows).T
+    servo = '<position name="servo" joint="lever" kp="20" kv="1" forcerange="-2.45 2.45"/>'
+    system = amhe.System.from_model(
+        mujoco.MjSpec.from_string(lever.format(servo)),
+        parameters={"damping": {"nominal": 0.05, "targets": [{"joint": "lever", "set": "damping"}]}},
+        signals={
+            "joints": {"joints": ["lever"], "noise": {"position": 5e-4}},
+            "command": {"actuators": ["servo"], "quantity": "position"},
+        },
+    )
+    arrays = {
+        "joints": {"time": time, "position": q[:, None]},
+        "command": {"time": time, "position": targets[:, None]},
+    }
+
+    row = _explained(system, amhe.Log.from_arrays(arrays, system)).rows[0]
+
+    assert (row.kind, row.place) == ("servo limit", "servo")
+    assert row.text.startswith("servo never exceeds 6.")
+    assert {"servo_gain", "servo_force_limit", "damping"} <= row.repair.keys()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -102,6 +103,24 @@ def test_units(
     arrays = motion()
     arrays[signal][quantity] = factor * arrays[signal][quantity]
     assert f"run: signal {text}" in said(arrays, arm, caplog)
+
+
+@pytest.mark.parametrize(
+    ("joint", "text"),
+    [
+        (lambda q, v: (q, v * [1.0, -1.0]), "the velocity has the other sign than the position (elbow)"),
+        (lambda q, v: (q, v[:, ::-1]), "the velocity is that of elbow's position (shoulder)"),
+        (lambda q, v: (q, np.stack((v[:, 0], q[:, 1]), 1)), "the velocity is not the derivative of the pos"),
+        (lambda q, v: (np.round(q * 4096 / 2 / np.pi), v), "counts of an encoder (shoulder, elbow)"),
+    ],
+)  # fmt: skip
+def test_what_contradicts_the_velocity(
+    joint: Any, text: str, arm: amhe.System, caplog: pytest.LogCaptureFixture
+) -> None:
+    arrays = motion()
+    of = arrays["joints"]
+    of["position"], of["velocity"] = joint(of["position"], of["velocity"])
+    assert text in said(arrays, arm, caplog)
 
 
 def test_degrees_without_a_velocity_are_found_by_range(

@@ -9,14 +9,22 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.estimation.explain.unexplained import Unexplained, direction
-from amhe_cli.system.model.elements import dofs_of
+from amhe_cli.core.parameters import Parameter
+from amhe_cli.engine.states import controls
+from amhe_cli.estimation.explain.regression import memory_of
+from amhe_cli.estimation.explain.unexplained import Unexplained, accelerations, direction, scale_of
+from amhe_cli.system.model.elements import axis_in, commanded, dofs_of, driven_joint, inputs_of
 from amhe_cli.system.system import System
 
 #: Quantiles of a force or speed at which a limit is tried, and of positions at which a contact is.
 _LIMITS, _PLACES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.92), (0.6, 0.7, 0.8, 0.9)
 #: Waves on a turn, of what repeats with the angle, and the fewest of them that the motion must pass.
 _WAVES, _PASSED = np.unique(np.geomspace(3, 60, 40).round()), 1.5
+#: Quantiles of the speed that a servo's target may not exceed.
+_FAST = (0.8, 0.9, 0.95, 0.99)
+_GRAVITY = 9.81
+#: Arrays of numbers that are inertia.
+_INERT = {"body_mass", "body_inertia", "body_ipos", "dof_armature"}
 #: Frequencies that are tried of what repeats in time.
 _TIMES = 50
 #: Speeds, in shares of their rms, below which friction may rise.
@@ -33,7 +41,10 @@ _UNITS: Mapping[float, str] = {
 _NEAR = 0.25
 
 #: Kinds of which several are tried at each place, as one more number decides.
-SEARCHED = ("stribeck", "force limit", "speed limit", "contact", "cogging", "periodic", "coupling")
+SEARCHED = (
+    *("stribeck", "force limit", "speed limit", "contact", "cogging", "periodic", "coupling"),
+    *("servo limit", "slew limit"),
+)
 
 #: Coefficients (m,) and their sd -> a cause in words.
 Words = Callable[[FloatArray, FloatArray], str]
@@ -52,6 +63,7 @@ class Cause:
         repair: From coefficients and sd the entries of `parameters` that let the model have it; None: no
             number of a model does.
         against: What its force is drawn against: name with its unit, and values (n,).
+        most: The largest first coefficient that can be: of friction or inertia, what the model has.
     """
 
     kind: str
@@ -61,12 +73,15 @@ class Cause:
     words: Words
     repair: Callable[[FloatArray, FloatArray], dict[str, Any]] | None
     against: tuple[str, FloatArray]
+    most: float = np.inf
 
 
 def number(value: float, sd: float) -> str:
     """'0.049 ± 0.004', with the digits that the sd warrants."""
     if not 0.0 < sd < np.inf:
         return f"{value:.3g}"
+    if abs(value) < 1e-3:
+        return f"{value:.2e} ± {sd:.1e}"
     digits = int(np.clip(1 - np.floor(np.log10(sd)), 0, 9)) if sd < 10.0 else 0
     return f"{value:.{digits}f} ± {sd:.{digits}f}"
 
@@ -87,12 +102,18 @@ class _Dictionary:
 
     def __init__(self, system: System, found: Unexplained, commands: FloatArray) -> None:
         self.system, self.found, self.motion = system, found, found.motion
-        self.dofs = dofs_of(system.model)
+        self.model = system.edits.apply(system.model, np.array(system.edits.space.nominal))
+        self.dofs = dofs_of(self.model)
         self.commands = commands
         self.time = self.motion.time - self.motion.time[0]
         self.way = direction(self.motion.qvel)
         self.acceleration = self._predicted()
-        self.set = {(cells.field, cells.row) for _, each in system.edits.by_parameter() for cells in each}
+        self.unknown = {parameter.of_model for parameter in system.space.parameters}
+        self.set = {
+            (cells.field, cells.row, column): parameter
+            for parameter, each in system.edits.by_parameter() for cells in each
+            for column in cells.columns or (0,)
+        }  # fmt: skip
 
     def _predicted(self) -> FloatArray:
         """Accelerations as commands, positions and speeds predict them, shape (n, nv).
@@ -127,6 +148,12 @@ class _Dictionary:
                 if other != dof and self.dofs[dof].place >= 0 and self.dofs[other].place >= 0:
                     yield from self._of_pair(dof, other)
         yield from self._of_actuators()
+        yield from self._of_priors()
+
+    def _free(self, field: str, row: int, column: int = 0) -> bool:
+        """Whether an unknown sets a number of the model."""
+        parameter = self.set.get((field, row, column))
+        return parameter is not None and parameter.name in self.unknown
 
     def _made(
         self, kind: str, dof: int, columns: Sequence[FloatArray], words: Words, against: str = "",
@@ -172,15 +199,18 @@ class _Dictionary:
                 return f"{what} of {number(abs(c[0]), sd[0])} {self._force(dof, per)}{less}"
 
             def repair(c: FloatArray, sd: FloatArray) -> dict[str, Any]:
-                now = getattr(self.system.model, field)[dof]
+                now = getattr(self.model, field)[dof]
                 value = float((now if column is None else now[column]) - c[0])
+                if (cell := (field, dof, column or 0)) in self.set:
+                    return self._wider(cell, value)
                 return {f"{name}_{word}": _positive(value, float(sd[0]), {"joint": name, "set": word})}
 
             return words, repair if joint else None
 
         unit = self._force(dof)
         yield self._made(
-            "constant", dof, [one], lambda c, sd: f"a constant force of {number(c[0], sd[0])} {unit}", "time"
+            "constant", dof, [one], lambda c, sd: f"a constant force of {number(c[0], sd[0])} {unit}", "time",
+            (lambda c, sd: self._soft_spring(dof, float(c[0]))) if joint else None,
         )  # fmt: skip
         for kind, what, per, field, word, column, values, against in (
             ("viscous", "viscous friction", "v", "dof_damping", "damping", None, speed, "speed"),
@@ -189,9 +219,10 @@ class _Dictionary:
              "damping_quadratic", 0, speed * np.abs(speed), "speed"),
             ("armature", "an inertia", "a", "dof_armature", "armature", None, acceleration, "acceleration"),
         ):  # fmt: skip
-            if (field, dof) not in self.set:
+            if not self._free(field, dof):
                 words, repair = more(what, per, field, word, column)
-                yield self._made(kind, dof, [values], words, against, repair)
+                has = np.atleast_1d(getattr(self.model, field)[dof])[column or 0]
+                yield replace(self._made(kind, dof, [values], words, against, repair), most=float(has))
         yield self._made(
             "drift", dof, [self.time - self.time.mean()],
             lambda c, sd: f"a force that drifts by {number(c[0], sd[0])} {unit}/s", "time",
@@ -200,6 +231,45 @@ class _Dictionary:
             "fading friction", dof, [way * (self.time - self.time.mean())],
             lambda c, sd: f"dry friction that changes by {number(-c[0], sd[0])} {unit}/s", "time",
         )  # fmt: skip
+
+    def _soft_spring(self, dof: int, force: float) -> dict[str, Any]:
+        """A constant force: that of a spring so long that motion hardly changes it."""
+        model, name, place = self.model, self.dofs[dof].name, self.dofs[dof].place
+        row, q = self.dofs[dof].joint, self.motion.qpos[:, place]
+        if self._free("jnt_stiffness", row) or self._free("qpos_spring", place):
+            return {}
+        stiffness = float(model.jnt_stiffness[row]) or 0.01 * abs(force) / float(np.ptp(q))
+        rest = float(model.qpos_spring[place]) + force / stiffness
+        fixed = {"nominal": stiffness, "prior_sd": 0.0, "targets": [{"joint": name, "set": "stiffness"}]}
+        return {
+            f"{name}_stiffness": fixed,
+            f"{name}_rest": _signed(rest, abs(rest), {"joint": name, "set": "spring_rest"}),
+        }
+
+    def _off_axis(self, dof: int, along: FloatArray) -> dict[str, Any]:
+        """A centre of mass that is elsewhere, of the heaviest part of the body that a hinge moves.
+
+        Args:
+            dof: The hinge's degree of freedom.
+            along: The force by sine and cosine of its angle, shape (2,).
+        """
+        model, row = self.model, self.dofs[dof].joint
+        parts = np.flatnonzero(model.body_weldid == model.body_weldid[model.jnt_bodyid[row]])
+        body = int(parts[np.argmax(model.body_mass[parts])])
+        across = np.argsort(np.abs(axis_in(model, row, body)))[:2]
+        weight, name = float(model.body_mass[body]) * _GRAVITY, model.body(body).name
+        if not weight or not name or any(self._free("body_ipos", body, int(i)) for i in across):
+            return {}
+        far = float(np.hypot(*along)) / weight
+        now = model.body_ipos[body]
+        return {
+            f"{name}_center_{'xyz'[i]}": {
+                "nominal": float(now[i]), "bounds": [float(now[i]) - 10.0 * far, float(now[i]) + 10.0 * far],
+                "scale": "linear", "prior_sd": far,
+                "targets": [{"body": name, "set": "center_of_mass", "axis": "xyz"[i]}],
+            }
+            for i in sorted(map(int, across))
+        }  # fmt: skip
 
     def _of_joint(self, dof: int) -> Iterator[Cause]:
         """What a hinge or slide may have."""
@@ -217,7 +287,7 @@ class _Dictionary:
             )
 
         def springs(c: FloatArray, sd: FloatArray) -> dict[str, Any]:
-            model = self.system.model
+            model = self.model
             has, at = float(model.jnt_stiffness[row]), float(model.qpos_spring[self.dofs[dof].place])
             if (stiffness := has - float(c[0])) <= 0.0:
                 return {}
@@ -231,13 +301,14 @@ class _Dictionary:
         row = self.dofs[dof].joint
         yield self._made(
             "spring", dof, [q, one], spring, "position",
-            springs if ("jnt_stiffness", row) not in self.set else None,
+            None if self._free("jnt_stiffness", row) else springs,
         )  # fmt: skip
         if self.dofs[dof].turns and np.ptp(q) > _CURVED:
             yield self._made(
                 "sine", dof, [np.sin(q), np.cos(q)],
                 lambda c, sd: f"a weight off its axis: {number(np.hypot(*c), np.hypot(*sd))} {force}, "
                 f"highest at {np.arctan2(c[0], c[1]):.2g} rad", "position",
+                lambda c, sd: self._off_axis(dof, c),
             )  # fmt: skip
         yield from self._of_gear(dof)
         for quantile in _LIMITS:
@@ -332,7 +403,7 @@ class _Dictionary:
 
     def _of_actuators(self) -> Iterator[Cause]:
         """Commands: their factor, their order, their delay; actuators that nothing commands."""
-        model, by = self.system.model, self.found.forces.by
+        model, by = self.model, self.found.forces.by
         names = [model.actuator(row).name or f"actuator {row}" for row in range(model.nactuator)]
         driven = {a for a in range(len(names)) if np.abs(self.commands[:, a]).max(initial=0.0) > 0.0}
         for a, name in enumerate(names):
@@ -357,13 +428,11 @@ class _Dictionary:
                 )  # fmt: skip
             dofs, values = self._spread(self.commands[None, :, a])
             yield Cause("command", name, dofs, values, _of_factor(name), None, against)
+            yield from self._of_servo(a)
         yield from self._exchanged(names, sorted(driven))
         total = self.commands.sum(axis=1)
         if total.any():
-            change = np.concatenate(
-                [np.gradient(total[s], self.motion.period, axis=0) for s in self.motion.stretches]
-            )
-            dofs, values = self._spread(-change[None])
+            dofs, values = self._spread(-self._change(total)[None])
             yield Cause(
                 "delay", "commands", dofs, values,
                 lambda c, sd: f"commands act {number(1e3 * c[0], 1e3 * sd[0])} ms later",
@@ -374,6 +443,132 @@ class _Dictionary:
                     }
                 } if c[0] > 0.0 and self.system.edits.prompt else {},
                 ("change of the command's force", values[0, :, dofs[0]]),
+            )  # fmt: skip
+
+    def _of_servo(self, a: int) -> Iterator[Cause]:
+        """A position servo whose gains act inside a limit, or whose target moves no faster than it may."""
+        model, motion, name = self.model, self.motion, self.model.actuator(a).name
+        joint, place = driven_joint(model, a), controls(model, self.system.input_spec)
+        if joint is None or place is None or commanded(model, a) != "position" or inputs_of(model, a):
+            return
+        dof, gear = int(model.joint(joint).dofadr[0]), float(model.actuator_gear[a, 0])
+        if dof not in motion.dofs:
+            return
+        q, v = gear * motion.qpos[:, self.dofs[dof].place], gear * motion.qvel[:, dof]
+        at = int(model.actuator_actadr[a])
+        target = (
+            motion.inputs[:, place.start + int(model.actuator_ctrladr[a])] if at < 0 else motion.act[:, at]
+        )
+        gain, bias = float(model.actuator_gainprm[a, 0]), model.actuator_biasprm[a]
+        now, turn = self.found.forces.by[:, a, dof], bias[0] + bias[1] * q
+        fast, unit = float(np.quantile(np.abs(v), 0.998)), "rad" if self.dofs[dof].turns else "m"
+        force, per = self._force(dof), self._force(dof, "v")
+        pull = gain * target + turn
+        pulls = [
+            ("servo limit", most, np.clip(pull, -most, most)) for most in np.quantile(np.abs(pull), _LIMITS)
+        ]
+        for most in np.quantile(np.abs(v), _FAST):
+            moved = [_slewed(target[s], q[s], most * motion.period) for s in motion.stretches]
+            pulls.append(("slew limit", most, gain * np.concatenate(moved) + turn))
+        for kind, most, values in pulls:
+            change = gear * self._change(values)  # another delay than the model's, too
+            factor, slows, _ = self._replaced(dof, now, gear * values, -gear * v, -change)
+            if factor <= 0.0 or (kind == "servo limit" and slows <= 0.0):
+                continue
+            drive = f"as {factor * gain:.2g} {force}/{unit} less {slows:.2g} {per}"
+            text = {
+                "servo limit": f"{name} never exceeds {fast:.2g} {unit}/s: its gains act inside a limit, "
+                f"{drive} up to {factor * most:.2g} {force}",
+                "slew limit": f"{name} follows its command at no more than {most:.2g} {unit}/s (a profile, "
+                f"slewmax of a <pid>), {drive}",
+            }[kind]
+            how = factor, factor * most, slows
+            made = self._made(
+                kind, dof, [gear * (factor * values - slows * v) - now, -change],
+                lambda c, sd, text=text: text, "speed",
+                (lambda c, sd, how=how: self._limited(a, dof, *how)) if kind == "servo limit" else None,
+            )  # fmt: skip
+            yield replace(made, place=name)
+
+    def _change(self, values: FloatArray) -> FloatArray:
+        """Derivative of values (n, ...) by time."""
+        motion = self.motion
+        return np.concatenate([np.gradient(values[s], motion.period, axis=0) for s in motion.stretches])
+
+    def _replaced(self, dof: int, now: FloatArray, *columns: FloatArray) -> FloatArray:
+        """Coefficients of columns of force that would best be there in place of one force, shape (m,)."""
+        found, dofs = self.found, list(self.motion.dofs)
+        values = np.zeros((len(columns) + 1, len(self.time), len(self.dofs)))
+        values[..., dof] = (now, *columns)
+        moved = accelerations(found.forces.mass[found.rows], self._spread(values)[1], dofs)
+        residual, slopes = found.residual[found.rows], found.slopes[:, found.rows]
+        known = np.concatenate([moved[1:], slopes]).reshape(len(columns) + len(slopes), -1)
+        prior = np.r_[np.zeros(len(columns)), np.ones(len(slopes))] * (residual**2).mean()
+        prior *= memory_of(residual, found.stretches)
+        wanted = known @ (residual + moved[0]).ravel()
+        return np.linalg.solve(known @ known.T + np.diag(prior), wanted)[: len(columns)]
+
+    def _limited(self, a: int, dof: int, factor: float, most: float, slows: float) -> dict[str, Any]:
+        """Parameters of a servo that pulls in proportion up to a limit, and is slowed as by drag."""
+        model, name, joint = self.model, self.model.actuator(a).name, self.dofs[dof].name
+        if not model.actuator_forcelimited[a]:
+            return {}
+        wanted = [
+            ("gain", "actuator_gainprm", a, 0, factor * float(model.actuator_gainprm[a, 0])),
+            ("force_limit", "actuator_forcerange", a, 1, most),
+            ("damping", "dof_damping", dof, 0, float(model.dof_damping[dof]) + slows),
+            ("actuator_damping", "actuator_biasprm", a, 2, -0.1 * float(model.actuator_biasprm[a, 2])),
+        ]
+        found: dict[str, Any] = {}
+        for word, *cell, value in wanted:
+            where = {"joint": joint} if word == "damping" else {"actuator": name}
+            entry = {f"{next(iter(where.values()))}_{word}": _positive(value, 0.0, where | {"set": word})}
+            place = (str(cell[0]), int(cell[1]), int(cell[2]))
+            found |= self._wider(place, value) if place in self.set else entry if value > 0.0 else {}
+        return found
+
+    def _wider(self, cell: tuple[str, int, int], value: float) -> dict[str, Any]:
+        """The parameter that sets a number, with a prior about another value of it."""
+        parameter, (field, row, column) = self.set[cell], cell
+        now = np.atleast_1d(getattr(self.model, field)[row])[column]
+        if parameter.owner or not now:
+            return {}
+        nominal = parameter.nominal * max(value / abs(float(now)), 0.1)
+        return {parameter.of_model: _believed(parameter, nominal)}
+
+    def _of_priors(self) -> Iterator[Cause]:
+        """Values that the logs want farther off than their priors allow.
+
+        None of an inertia: a body without one, that nothing pulls, moves as it likes.
+        """
+        found, space = self.found, self.system.space
+        cells = {
+            parameter.name: {cell[0] for cell, p in self.set.items() if p is parameter}
+            for parameter in self.set.values()
+        }
+        dofs = list(self.motion.dofs)
+        for parameter, slopes, scale in zip(
+            space.parameters, found.slopes, scale_of(self.system), strict=True
+        ):
+            own = tuple(
+                d for d, moved in zip(dofs, np.abs(slopes[found.rows]).max(axis=0), strict=True) if moved
+            )
+            if parameter.owner or not own or not cells.get(parameter.name, _INERT).isdisjoint(_INERT):
+                continue
+            force = np.zeros((1, int(found.rows.sum()), len(self.dofs)))
+            mass = found.forces.mass[found.rows][:, dofs][:, :, dofs]
+            force[0][:, dofs] = np.einsum("nij,nj->ni", mass, slopes[found.rows])
+
+            def wanted(c: FloatArray, parameter: Parameter = parameter, scale: float = scale) -> float:
+                """Beside it, a fit of the slope rests at the prior's own value."""
+                return float(np.clip(parameter.nominal - scale * c[0], parameter.lower, parameter.upper))
+
+            yield Cause(
+                "prior", parameter.name, own, force,
+                lambda c, sd, p=parameter, w=wanted: f"the log wants about {w(c):.3g}, where the prior has "
+                f"{p.nominal:.3g}: is it known so well?",
+                lambda c, sd, p=parameter, w=wanted: {p.name: _believed(p, w(c))},
+                ("what a prior sd of it changes", force[0, :, own[0]]),
             )  # fmt: skip
 
     def _exchanged(self, names: Sequence[str], driven: Sequence[int]) -> Iterator[Cause]:
@@ -397,11 +592,30 @@ class _Dictionary:
 
     def gain(self, actuator: int) -> float:
         """Force by command of an actuator, with its sign."""
-        return float(self.system.model.actuator_gainprm[actuator, 0]) or 1.0
+        return float(self.model.actuator_gainprm[actuator, 0]) or 1.0
 
     def _gain_is_free(self, actuator: int) -> bool:
         fields = ("actuator_gainprm", "actuator_biasprm", "actuator_gear")
-        return any((field, actuator) in self.set for field in fields)
+        return any(self._free(field, actuator, column) for field in fields for column in (0, 1))
+
+
+def _slewed(target: FloatArray, start: FloatArray, step: float) -> FloatArray:
+    """A target (n,) that moves from `start` on by no more than a step a row."""
+    found, now = np.empty_like(target), float(start[0])
+    for k, wanted in enumerate(target):
+        found[k] = now = now + float(np.clip(wanted - now, -step, step))
+    return found
+
+
+def _believed(parameter: Parameter, value: float) -> dict[str, Any]:
+    """Keys of a parameter that give it a prior about another value, and wider."""
+    if parameter.log:
+        low, high = min(parameter.lower, value / 10.0), max(parameter.upper, value * 10.0)
+        return {"nominal": max(value, low), "bounds": [low, high], "prior_sd": max(parameter.prior_sd, 0.5)}
+    sd = max(parameter.prior_sd, abs(value - parameter.nominal))
+    low, high = min(parameter.lower, value - 3.0 * sd), max(parameter.upper, value + 3.0 * sd)
+    low = max(low, 0.0) if parameter.lower >= 0.0 else low
+    return {"nominal": value, "bounds": [low, high], "prior_sd": sd}
 
 
 def _of_factor(name: str) -> Words:

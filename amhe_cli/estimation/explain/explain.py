@@ -47,7 +47,7 @@ def explain(system: System, parts: Sequence[Window], z: FloatArray, rng: np.rand
         again = forced(system, put, 0.0 * z, rng, TURNS)
         if again.left < best.left:
             alike = [two.text for two in wrong if two is not one and two.left < LIKE * one.left]
-            rows = [MissingRow(one.kind, one.place, one.text, 1.0 - again.start / best.start, tuple(alike))]
+            rows = [MissingRow(one.kind, one.place, one.text, one.share, tuple(alike))]
             best = replace(again, start=best.start)
             break
     return replace(best, rows=(*rows, *best.rows))
@@ -98,6 +98,7 @@ def _forced(
             tuple(dofs.index(d) for d in c.dofs),
             accelerations(mass, c.force, dofs),
             len(c.force) + (c.kind in SEARCHED),
+            c.most,
         )
         for c in candidates
     ]

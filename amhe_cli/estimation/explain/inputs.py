@@ -15,10 +15,10 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Log, Window
-from amhe_cli.engine.states import controls
-from amhe_cli.estimation.explain.motion import motion_in
+from amhe_cli.engine.states import collides, controls
+from amhe_cli.estimation.explain.motion import DrivenMotion, motion_in
 from amhe_cli.estimation.explain.regression import LEVEL, SIGNS, blocks_of, memory_of
-from amhe_cli.estimation.explain.unexplained import along, apart_in, direction, missing
+from amhe_cli.estimation.explain.unexplained import accelerations, along, apart_in, direction, missing
 from amhe_cli.system.model.elements import dofs_of
 from amhe_cli.system.system import System
 
@@ -26,6 +26,8 @@ from amhe_cli.system.system import System
 _INSTANTS, _PRICE = 600, 0.1
 #: Factors from numbers to SI units that are tried.
 _UNITS = {"degrees": np.pi / 180.0, "thousandths": 1e-3, "radians, and are read as degrees": 180.0 / np.pi}
+#: Keys of a signal that say so.
+_KEYS = dict(zip(_UNITS, ("unit: deg", "unit: {effort: mV}, or mA, mNm,", "no unit"), strict=True))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +37,7 @@ class Mended:
     Args:
         kind, place, text: What would be put right, and where, in words.
         mend: A log -> the log with it put right.
+        remedy: Key of the signal that would.
         share, left: Share of the unexplained acceleration that goes with it, and what is left.
     """
 
@@ -42,8 +45,15 @@ class Mended:
     place: str
     text: str
     mend: Callable[[Log], Log]
+    remedy: str = ""
     share: float = 0.0
     left: float = 0.0
+
+    @property
+    def sentence(self) -> str:
+        """It, with what speaks for it and what to do."""
+        goes = f"put right, {self.share:.0%} of the motion that the prior does not explain goes"
+        return f"{self.text}: {goes}; nothing was changed ({self.remedy} in its signal would)"
 
 
 def mended(system: System, parts: Sequence[Window], rng: np.random.Generator) -> list[Mended]:
@@ -98,16 +108,38 @@ def _candidates(system: System) -> Iterator[Mended]:
     converted = {s.key(q) for s in system.signals for q, factor in s.factors.items() if factor != 1.0}
     for key, i, name, what, turns in columns:
         sign = "joint sign" if what == "joint" else "command"
-        yield Mended(sign, name, f"the log's {name} has the other sign", _scaled(key, {i: -1.0}))
+        turned = f"reversed: [{name.split()[-1]}]"
+        yield Mended(sign, name, f"the log's {name} has the other sign", _scaled(key, {i: -1.0}), turned)
         for unit, factor in _UNITS.items() if turns else ():
             if factor > 1.0 and key not in converted:
                 continue
-            yield Mended("unit", name, f"the log's {name} is in {unit}", _scaled(key, {i: factor}))
+            yield Mended(
+                "unit", name, f"the log's {name} is in {unit}", _scaled(key, {i: factor}), _KEYS[unit]
+            )
+    angles = [(key, i) for key, i, *_, turns in columns if turns and key not in converted]
+    for unit, factor in _UNITS.items() if len(angles) > 1 else ():
+        if factor < 1.0:  # a motion made larger leaves less to explain
+            yield from _all_in(unit, factor, angles)
     for (key, i, one, what, *kind), (other, j, two, _, *too) in combinations(columns, 2):
         if key == other and kind == too:
             word = "swapped joints" if what == "joint" else "exchanged"
             text = f"the log's {one} and {two} are in each other's place"
-            yield Mended(word, f"{one}, {two}", text, _swapped(key, i, j))
+            yield Mended(word, f"{one}, {two}", text, _swapped(key, i, j), "their names exchanged")
+
+
+def _all_in(unit: str, factor: float, columns: Sequence[tuple[str, int]]) -> Iterator[Mended]:
+    """All columns of a signal, or of all of them, in another unit."""
+    keys = dict.fromkeys(key for key, _ in columns)
+    for some in dict.fromkeys([*((key,) for key in keys), tuple(keys)]):
+        mends = [_scaled(key, {i: factor for of, i in columns if of == key}) for key in some]
+        places = ", ".join(key.rpartition(".")[0] for key in some)
+
+        def mend(log: Log, mends: Sequence[Callable[[Log], Log]] = mends) -> Log:
+            for one in mends:
+                log = one(log)
+            return log
+
+        yield Mended("unit", places, f"every column of the log's {places} is in {unit}", mend, _KEYS[unit])
 
 
 def _keys(key: str) -> tuple[str, ...]:
@@ -151,19 +183,33 @@ def _left(system: System, part: Window) -> FloatArray | None:
     residual = missing(motion, found)
     rows = apart_in(system, [part.log], motion, theta)
     if rows.sum() < _INSTANTS // 10:
-        rows[:] = True
+        if collides(system.model):
+            return None
+        rows[:] = True  # ranges in another unit
     size = np.sqrt((motion.filtered(motion.qacc)[rows][:, dofs] ** 2).mean(axis=0)) + 1e-12
-    way = direction(motion.qvel)
+    more = filtered_forces(system, motion, found.given)[:, rows]
+    columns = accelerations(found.mass[rows], more, dofs) / size  # (m, n, k)
+    columns /= np.sqrt((columns**2).sum(axis=2).mean(axis=1))[:, None, None] + 1e-12
+    e, flat = residual[rows] / size, columns.reshape(len(columns), -1)
+    price = _PRICE * len(e) * np.eye(len(flat))
+    fit = np.linalg.solve(flat @ flat.T + price, flat @ e.ravel())
     total = np.zeros(len(residual))
-    for k, dof in enumerate(dofs):
-        more = np.stack([found.given[:, dof], motion.qvel[:, dof], way[:, dof], motion.qacc[:, dof]])
-        own = motion.filtered(more.T)[rows] / found.mass[rows, dof, dof][:, None] / size[k]
-        own = own[:, own.std(axis=0) > 1e-9]
-        own = own / own.std(axis=0)
-        e = residual[rows, k] / size[k]
-        fit = np.linalg.solve(own.T @ own + _PRICE * len(own) * np.eye(own.shape[1]), own.T @ e)
-        total[rows] += ((e - own @ fit) ** 2 + _PRICE * (fit**2).sum()) / len(dofs)
-    return total
+    total[rows] = ((e - np.tensordot(fit, columns, 1)) ** 2).sum(axis=1) + _PRICE * (fit**2).sum()
+    return total / len(dofs)
+
+
+def filtered_forces(system: System, motion: DrivenMotion, given: FloatArray) -> FloatArray:
+    """What each joint's drive, friction, inertia or a spring gives, filtered, shape (m, n, nv)."""
+    places, way = dofs_of(system.model), direction(motion.qvel)
+    columns = []
+    for dof in motion.dofs:
+        own = [given[:, dof], motion.qvel[:, dof], way[:, dof], motion.qacc[:, dof]]
+        if (place := places[dof].place) >= 0:
+            own.append(motion.qpos[:, place] - motion.qpos[:, place].mean())
+        for values in own:
+            columns.append(np.zeros_like(motion.qvel))
+            columns[-1][:, dof] = values
+    return np.moveaxis(motion.filtered(np.stack(columns, axis=1)), 1, 0)
 
 
 def _by_block(values: FloatArray, blocks: Sequence[slice]) -> FloatArray:

@@ -37,11 +37,13 @@ class CauseColumns:
         dofs: CauseColumns of the residual of whose square its share is.
         values: Its m columns, shape (m, n, k).
         numbers: How many numbers it takes: its columns, and what was tried at several values.
+        most: The largest first coefficient that can be.
     """
 
     dofs: tuple[int, ...]
     values: FloatArray
     numbers: int
+    most: float = np.inf
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,6 +143,10 @@ class Regression:
             falls = self._falls(x, weighted)
             total = falls.sum(axis=1)
             total[chosen] = -np.inf
+            for best in np.argsort(-total):  # the first that can be
+                if self._possible(chosen, weighted, int(best), candidates[best].most):
+                    break
+                total[best] = -np.inf
             best = int(total.argmax())
             left = self._left(self._beside([*chosen, best], weighted), self._residual)
             null = self._falls(x, weighted, left, signs).max(axis=0)
@@ -149,6 +155,7 @@ class Regression:
             if not total[best] > max(beyond, LITTLE * own[best]) or len(chosen) == MOST:
                 break
             alike = [best, *self._rivals(falls, total, best, beyond, signs)]
+            alike = [i for i in alike if self._possible(chosen, weighted, i, candidates[i].most)]
             best = min(alike, key=lambda i: (candidates[i].numbers, -total[i]))  # the simplest of them
             chosen.append(best)
             rows[best] = total[best] / own[best], tuple(i for i in alike if i != best)
@@ -161,6 +168,17 @@ class Regression:
             share, rivals = rows[index]
             found.append(Explained(index, share, values[own_columns], sd[own_columns], rivals))
         return found, chance, self._left(x, self._residual) * self._scale, values[: len(self._x)]
+
+    def _possible(
+        self, chosen: Sequence[int], weighted: Sequence[FloatArray], index: int, most: float
+    ) -> bool:
+        """Whether the first coefficient of a candidate may be one that can be, as far as its sd tells."""
+        if most == np.inf:
+            return True
+        x = self._beside([*chosen, index], weighted)
+        at = len(x) - len(weighted[index])
+        values, sd = self._fitted(x)
+        return bool(values[at] - 2.0 * sd[at] <= most)
 
     def _needed(
         self, chosen: Sequence[int], weighted: Sequence[FloatArray], signs: FloatArray, own: FloatArray

@@ -30,7 +30,7 @@ class Unexplained:
         rows: Rows that count, shape (n,); a contact reaches the others through the filter.
         residual: The acceleration of the measured degrees of freedom that nothing gives, filtered, (n, k).
         slopes: Its derivative by each free parameter over a step of one prior sd, shape (d, n, k).
-        toward: Where the parameters' priors stand from the values here, in their sd, shape (d,).
+        toward: Coefficients of the slopes that lead back to the priors, in their sd, shape (d,).
         forces: Forces along the motion, not filtered.
         uncommanded: What each actuator gives without its command, shape (n, actuators, nv).
     """
@@ -82,7 +82,7 @@ def unexplained(system: System, parts: Sequence[Window], z: FloatArray) -> Unexp
         step[i] += _STEP * scale[i]
         moved = motion_in(system, parts, step) if system.edits.late else motion
         slopes[i] = (missing(motion, along(system, logs, moved or motion, step)) - residual) / _STEP
-    toward = (np.array(space.nominal) - theta) / scale
+    toward = (theta - np.array(space.nominal)) / scale
     inputs = motion.inputs.copy()
     if (place := controls(system.model, system.input_spec)) is not None:
         inputs[:, place] = 0.0

@@ -16,6 +16,8 @@ from amhe_cli.estimation.validation.horizon import ClipErrors
 
 #: Resamples of the clips, ends of the interval, and the fewest clips that can tell.
 RESAMPLES, ENDS, FEWEST = 2000, (2.5, 97.5), 4
+#: One over degrees of freedom, and by how much Student's 95 % interval is wider than a normal one.
+STUDENT = (0.0, 1 / 20, 1 / 10, 1 / 5, 1 / 3), (1.0, 1.064, 1.137, 1.312, 1.624)
 #: A diverged prediction counts as one that is off by so many times the usual error.
 _DIVERGED = 100.0
 
@@ -68,7 +70,12 @@ def at_horizon(
         whole = squares.sum(axis=1) / clips
         rms = np.sqrt((errors**2).sum(axis=-1) / clips)  # (m, k)
     ends = np.percentile(ratios, ENDS, axis=-1)
-    ends[:] = np.nan if clips < FEWEST else ends
+    if clips < FEWEST:
+        ends[:] = np.nan
+    else:  # a bootstrap over few clips is too narrow, as a normal interval is against Student's
+        wider = np.sqrt(clips / (clips - 1.0)) * np.interp(1.0 / (clips - 1.0), *STUDENT)
+        centre = np.sqrt(whole[:, None] / whole[None])
+        ends = centre * (ends / centre) ** wider
     return AtHorizon(
         horizon=horizon,
         to_end=to_end,
@@ -109,8 +116,20 @@ def simplest_of(found: Sequence[AtHorizon], sizes: Sequence[int]) -> int:
 
 
 def improves(found: Sequence[AtHorizon], one: int, other: int) -> bool:
-    """Whether a system predicts better than another by more than chance, and nowhere worse."""
-    return any(at.better(one, other) for at in found) and not any(at.better(other, one) for at in found)
+    """Whether a system predicts better than another by more than chance, and nowhere worse.
+
+    It is one test over the horizons together, since each more would be one more chance to err.
+    The mean of the logarithms of its ratios, each with weight 1 / sd^2, must be below 0 by as many sd as an
+    interval is wide. The horizons look at the same clips: their errors are taken to go up and down together.
+    """
+    telling = [at for at in found if at.clips >= FEWEST and np.isfinite(at.upper[one, other])]
+    if not telling or any(at.better(other, one) for at in found):
+        return False
+    logs, upper = (np.log([each[one, other] for each in arrays]) for arrays in (
+        [at.ratios for at in telling], [at.upper for at in telling]
+    ))  # fmt: skip
+    width = np.maximum(upper - logs, 1e-12)
+    return bool((upper / width**2).sum() < 0.0)
 
 
 def verdict(found: Sequence[AtHorizon], names: Sequence[str], best: int, other: int) -> str:
@@ -119,8 +138,12 @@ def verdict(found: Sequence[AtHorizon], names: Sequence[str], best: int, other: 
     wins = [at for at in found if at.better(best, other)]
     losses = [at for at in found if at.better(other, best)]
     if improves(found, best, other):
-        sizes = _listed([f"{1.0 - at.ratios[best, other]:.0%} after {at.horizon:.3g} s" for at in wins])
+        telling = wins or [at for at in found if at.clips >= FEWEST]
+        sizes = _listed([f"{1.0 - at.ratios[best, other]:.0%} after {at.horizon:.3g} s" for at in telling])
         return f"{one} predicts better than {two}: its error is smaller by {sizes}"
+    if wins and not losses:
+        times = _listed([f"{at.horizon:.3g} s" for at in wins])
+        return f"{one} predicts better than {two} after {times}, but not over all horizons together"
     if wins:
         times = _listed([f"{at.horizon:.3g} s" for at in wins])
         worse = _listed([f"{at.horizon:.3g} s" for at in losses])

@@ -14,6 +14,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.log import Log
+from amhe_cli.core.series import Series
 from amhe_cli.system.description.data import Input, SystemData
 from amhe_cli.system.model.elements import commanded
 from amhe_cli.system.model.gaps import gaps
@@ -42,6 +43,8 @@ _OF_VELOCITY: Mapping[float, _Cause] = {
     1.0 / _DEGREES: ("the velocity looks like degrees per second", {"unit": {"velocity": "deg/s"}}),
     np.pi / 30.0: ("the velocity looks like rpm", {"unit": {"velocity": "rpm"}}),
 }
+#: Speeds by the positions go with the measured ones at least so well, if these are speeds at all.
+_RELATED = 0.5
 #: Slope of the commands over the positions -> the cause.
 _OF_COMMAND: Mapping[float, _Cause] = {
     _DEGREES: ("the command looks like degrees", {"unit": "deg"}),
@@ -151,20 +154,27 @@ def _of_states(model: mujoco.MjModel, log: Log, key: str, joints: list[int]) -> 
     causes: list[tuple[_Cause, str]] = []
     far: dict[str, float] = {}
     velocity = log.series.get(f"{key.rpartition('.')[0]}.velocity")
+    measured = velocity if velocity is not None and not velocity.derived else None
+    rates = {} if measured is None else _rates(log.dt, log[key], measured)
     for column, row in enumerate(joints):
         values, name = log[key].values[:, column], model.joint(row).name
         if _wraps(np.abs(np.diff(values[log[key].sampled & log[key].valid]))):
             causes.append((_WRAPPING, name))
-        slope = None
-        if velocity is not None and not velocity.derived:
-            both = np.flatnonzero(log[key].sampled & velocity.sampled)
-            slope = _slope_over_velocity(
-                log.dt * both.astype(np.float64), values[both], velocity.values[both, column]
-            )
+        slope = _slope(rates[column][0], rates[column][1]) if rates else None
         of_unit = _named(slope, _OF_VELOCITY)
+        of_unit += _of_speed(rates, column, [model.joint(other).name for other in joints]) if rates else []
         causes += [(cause, name) for cause in of_unit]
         largest = float(np.max(np.abs(values[log[key].valid]), initial=0.0))
         hinge = int(model.jnt_type[row]) == mujoco.mjtJoint.mjJNT_HINGE
+        seen = values[log[key].sampled & log[key].valid]
+        if hinge and largest > _LARGEST and np.abs(seen - np.round(seen)).max() < 1e-3:
+            exact = 2.0 * np.pi * slope if slope else largest + 1.0  # the speeds say how many
+            turn = 2 ** max(8, int(np.ceil(np.log2(exact) - 0.3 * bool(slope))))
+            text = "position is in whole numbers: looks like counts of an encoder"
+            unit = f"1/{turn} turn"
+            known = {"unit": {"position": unit}} if slope else {}
+            causes.append(((text if slope else f"{text}, perhaps unit: {unit}", known), name))
+            continue
         # a wheel turns for long, and its velocity agrees; both may be in degrees where a joint has an end
         if not of_unit and (_beyond(model, row, largest) or (hinge and slope is None and largest > _LARGEST)):
             far[name] = largest
@@ -188,21 +198,43 @@ def _wraps(steps: FloatArray) -> bool:
     return bool(turns.any() and np.median(steps) < _TURN)
 
 
-def _slope_over_velocity(times: FloatArray, position: FloatArray, velocity: FloatArray) -> float | None:
-    """Speed by the positions over the measured one; None where they do not move alike."""
-    if times.size < _FEW:
-        return None
-    period = float(np.median(np.diff(times)))
+def _rates(dt: float, position: Series, velocity: Series) -> dict[int, tuple[FloatArray, FloatArray]]:
+    """Mean speed of each column over short spans, by the positions and as it was measured; {}: too few."""
+    rows = np.flatnonzero(position.sampled & velocity.sampled)
+    times = dt * rows.astype(np.float64)
+    period = float(np.median(np.diff(times))) if rows.size >= _FEW else 0.0
     span = max(1, round(_SPAN / period)) if period > 0.0 else 1
-    if times.size <= 2 * span:
-        return None
+    if rows.size < max(_FEW, 2 * span + 1):
+        return {}
     starts = np.arange(0, times.size - span, max(1, times.size // _MANY))
     starts = starts[times[starts + span] - times[starts] < 2.0 * span * period]  # no gap within
-    elapsed = times[starts + span] - times[starts]
-    rows = starts[:, None] + np.arange(span + 1)
-    speeds = velocity[rows]
-    way = np.sum(0.5 * (speeds[:, 1:] + speeds[:, :-1]) * np.diff(times[rows]), axis=1)
-    return _slope((position[starts + span] - position[starts]) / elapsed, way / elapsed)
+    elapsed = (times[starts + span] - times[starts])[:, None]
+    within = starts[:, None] + np.arange(span + 1)
+    speeds, place = velocity.values[rows][within], position.values[rows]
+    way = np.sum(0.5 * (speeds[:, 1:] + speeds[:, :-1]) * np.diff(times[within])[..., None], axis=1)
+    both = (place[starts + span] - place[starts]) / elapsed, way / elapsed
+    return {k: (both[0][:, k], both[1][:, k]) for k in range(place.shape[1])}
+
+
+def _of_speed(
+    rates: Mapping[int, tuple[FloatArray, FloatArray]], column: int, names: Sequence[str]
+) -> list[_Cause]:
+    """What a measured velocity is, if not the derivative of its position."""
+    speed = rates[column][1]
+    alike = [
+        float(np.corrcoef(own, speed)[0, 1]) if own.size >= _FEW and own.std() * speed.std() > 0.0 else np.nan
+        for own, _ in rates.values()
+    ]
+    if not alike[column] < _RELATED:  # NaN: it stands still
+        return []
+    if alike[column] < -_ALIKE:
+        return [("the velocity has the other sign than the position", {})]
+    other = int(np.nanargmax(alike))
+    if alike[other] > _ALIKE:
+        return [(f"the velocity is that of {names[other]}'s position", {})]
+    return [
+        (f"the velocity is not the derivative of the position: their correlation is {alike[column]:.2f}", {})
+    ]
 
 
 def _slope(first: FloatArray, second: FloatArray) -> float | None:

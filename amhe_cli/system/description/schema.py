@@ -93,6 +93,7 @@ class SignalEntry(_Entry):
     smooth: Positive | None = None
     unit: Name | dict[str, Name] | None = None
     wraps: bool = False
+    reversed: list[Name] = Field(default_factory=list)
     hold: bool = True
     active: list[tuple[Number, Number]] | Annotated[dict[Name, Number], Field(min_length=1)] | None = None
 
@@ -125,6 +126,10 @@ class SignalEntry(_Entry):
                 raise ValueError(one_of("unit", name, FACTORS))
         if self.wraps and self.joints is None:
             raise ValueError("wraps is for joints: their encoders jump by a turn")
+        own = self.joints or self.actuators or self.joint_force or ()
+        for name in self.reversed:
+            if name not in own:
+                raise ValueError(one_of("joint or actuator of the signal", name, list(own)))
         if not self.hold and self.actuators is None and self.joint_force is None and self.force_on is None:
             raise ValueError("hold is for what drives the model: actuators, joint_force, force_on")
         for name in self.compare or ():

@@ -158,6 +158,9 @@ def signal_of(
         offset=entry.offset,
         factors=entry.factors,
         wraps=entry.wraps,
+        reversed=tuple(
+            map(list(entry.joints or entry.actuators or entry.joint_force or ()).index, entry.reversed)
+        ),
         smooth=entry.smooth or 0.0,
         active=tuple(entry.active) if isinstance(entry.active, list) else (),
         switch=next(iter((f"{key}.value", value) for key, value in entry.active.items()))

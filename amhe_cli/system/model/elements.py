@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 import mujoco
+import numpy as np
 
+from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError, one_of
 
 #: Kind of element -> MuJoCo's number of the kind.
@@ -100,13 +102,23 @@ def driven_joint(model: mujoco.MjModel, actuator: int) -> str | None:
     return model.joint(int(model.actuator_trnid[actuator, 0])).name or None
 
 
+def axis_in(model: mujoco.MjModel, joint: int, body: int) -> FloatArray:
+    """A joint's axis in the frame of a body that is fixed to the joint's own, shape (3,)."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return np.asarray(data.xmat[body].reshape(3, 3).T @ data.xaxis[joint])
+
+
 def commanded(model: mujoco.MjModel, row: int) -> str:
-    """What an actuator's control is: a servo's target or a motor's effort."""
+    """What an actuator's control is: a servo's target, or a motor's effort, also that of its voltage."""
     if inputs := inputs_of(model, row):
         return inputs[0]
-    bias = model.actuator_biasprm[row]
+    bias, gain = model.actuator_biasprm[row], model.actuator_gainprm[row, 0]
     if int(model.actuator_biastype[row]) == mujoco.mjtBias.mjBIAS_AFFINE:
-        return "position" if bias[1] else "velocity"
+        if bias[1]:
+            return "position"
+        if abs(gain + bias[2]) < 1e-6 * abs(gain):  # no force at the speed that is commanded
+            return "velocity"
     return "effort"
 
 

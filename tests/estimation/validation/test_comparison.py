@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.estimation.core.result import AtHorizon
-from amhe_cli.estimation.validation.comparison import at_horizon, best_of, verdict
+from amhe_cli.estimation.validation.comparison import at_horizon, best_of, improves, verdict
 from amhe_cli.estimation.validation.horizon import ClipErrors
 
 NAMES = ("plain", "stribeck")
@@ -42,6 +42,17 @@ def test_models_alike_are_told_apart_as_often_as_promised() -> None:
         found = compared(clips(seed) * noise[0], clips(seed) * noise[1], seed=seed)
         decided += found.better(0, 1) or found.better(1, 0)
     assert decided / 200 < 0.2  # 5 % were wanted; a bootstrap over 15 uneven clips is somewhat narrow
+
+
+def test_horizons_are_one_test() -> None:
+    """Of models alike, over four horizons that each err by themselves."""
+    kept = 0
+    for seed in range(150):
+        noise = np.exp(np.random.default_rng([seed, 2]).normal(0.0, 0.3, (4, 2, 15)))
+        found = [compared(clips(seed) * a, clips(seed) * b, seed=seed) for a, b in noise]
+        kept += improves(found, 0, 1)
+    assert kept / 150 < 0.05
+    assert improves([compared(0.8 * clips(0), clips(0)), compared(0.9 * clips(1), clips(1))], 0, 1)
 
 
 def test_few_clips_cannot_tell() -> None:
