@@ -49,7 +49,8 @@ def rich_table(table: Table, styles: Mapping[str, str] | None = None) -> rich.ta
     """
     made = rich.table.Table(box=rich.box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
     for name, look in zip(table.head, table.looks, strict=True):
-        made.add_column(name, justify="right" if "number" in look else "left", no_wrap=look != TEXT)
+        side = "right" if "number" in look else "left"
+        made.add_column(name, justify=side, no_wrap=look != TEXT, overflow="fold")
     for row in table.rows:
         made.add_row(*(Text(text, style=(styles or {}).get(text.partition(":")[0], "")) for text in row))
     return made

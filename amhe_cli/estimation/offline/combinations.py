@@ -21,25 +21,29 @@ def combinations(
 ) -> tuple[Combination, ...]:
     """Products of log-scaled parameters that are known much better, or worse, than each alone.
 
-    For every strongly correlated pair, the eigenvectors of its covariance in log(theta): the sharp one is
-    what the data determine, the blunt one what they leave open.
+    A share k on the linear scale, such as friction's of a load, is in them as 1 + k. For every strongly
+    correlated pair, the eigenvectors of its covariance in logarithms: the sharp one is what the data
+    determine, the blunt one what they leave open.
     """
     matrix = correlation(covariance)
-    scale = np.outer(space.prior_sd, space.prior_sd)
+    shares = [p.unit == "-" and -1.0 < p.lower < 0.0 and not p.log for p in space.parameters]
+    relative = space.prior_sd / np.where(shares, 1.0 + space.nominal, 1.0)
+    scale, factors = np.outer(relative, relative), space.log | shares
+    names = [f"(1 + {name})" if share else name for name, share in zip(space.names, shares, strict=True)]
     phi, prior = covariance * scale, space.prior_covariance * scale
     found = []
     for i in range(len(space)):
         for j in range(i + 1, len(space)):
             together = active[i] and active[j] and abs(matrix[i, j]) > TOGETHER
-            if together and space.log[i] and space.log[j]:
-                found += _pair(space, phi, prior, (i, j))
+            if together and factors[i] and factors[j]:
+                found += _pair(space.names, names, phi, prior, (i, j))
     return tuple(found)
 
 
 def _pair(
-    space: ParameterSpace, phi: FloatArray, prior: FloatArray, pair: tuple[int, int]
+    names: Sequence[str], factors: Sequence[str], phi: FloatArray, prior: FloatArray, pair: tuple[int, int]
 ) -> list[Combination]:
-    """Combinations of two parameters, from posterior and prior covariance of all in log(theta), (d, d)."""
+    """Combinations of two parameters, from posterior and prior covariance of all logarithms, (d, d)."""
     block = np.ix_(pair, pair)
     values, vectors = np.linalg.eigh(phi[block])
     result = []
@@ -48,8 +52,8 @@ def _pair(
         before = float(np.sqrt(powers @ prior[block] @ powers))
         sd = float(np.sqrt(value) * np.linalg.norm(powers))
         if np.abs(powers).min() >= EXPONENT:
-            names = tuple(space.names[i] for i in pair)
-            result.append(Combination(_product(names, powers), sd, 1.0 - sd / before, names))
+            text = _product([factors[i] for i in pair], powers)
+            result.append(Combination(text, sd, 1.0 - sd / before, tuple(names[i] for i in pair)))
     return result
 
 

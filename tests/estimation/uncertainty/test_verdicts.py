@@ -234,6 +234,16 @@ def test_parameters_that_are_known_only_together_name_each_other_and_their_produ
     assert combinations(SPACE, covariance, np.array([True, False, True])) == ()
 
 
+def test_a_load_and_the_share_of_it_that_friction_takes_are_known_as_a_product() -> None:
+    """1 + k is the factor: at k = 0.25, 0.1 of it is 8 %."""
+    share = Parameter("load_friction", "-", 0.25, -0.2, 0.8, log=False, prior_sd=0.1)
+    space = ParameterSpace((SPACE.parameters[0], share))
+    covariance = np.array([[0.16**2, -0.98 * 0.16], [-0.98 * 0.16, 1.0]])
+    sharp, _ = combinations(space, covariance, np.ones(2, dtype=bool))
+    assert sharp.text == "mass * (1 + load_friction)" and sharp.names == ("mass", "load_friction")
+    assert sharp.sd == pytest.approx(0.08 * np.sqrt(2.0 * 0.02))
+
+
 def test_a_combination_shrinks_from_what_the_prior_knows_of_it() -> None:
     """A belief that is a prior may know two parameters together; logs that add nothing narrow nothing."""
     together = ((1.0, -0.98, 0.0), (-0.98, 1.0, 0.0), (0.0, 0.0, 1.0))
