@@ -41,7 +41,8 @@ class Smooth:
     Args:
         values, first, second: The motion and its derivatives, shape (n, k).
         sd: Sd of the errors of each of these, shape (3, k).
-        band: Frequency of each column above which the noise is larger than the motion, shape (k,) [Hz].
+        band: Frequency of each column above which the noise is larger than the motion, shape (k,) [Hz]; 0 of
+            one that stands.
         noise: Noise sd of each column, shape (k,).
     """
 
@@ -150,13 +151,14 @@ def _wiener(
     floor = np.maximum(floor, (_ROUNDING * extent) ** 2 + 1e-300)
     over, rows = mean / floor, np.arange(count)[:, None]
     moves = over > np.maximum(_ABOVE, 1.0 + _SURE * np.sqrt(2.0 / bins)[:, None])  # the sd of such a mean
-    last = np.maximum(count - 1 - np.argmax(moves[::-1], axis=0), 1)
+    moves[1] = True  # what stands moves in no frequency at all
+    last = count - 1 - np.argmax(moves[::-1], axis=0)
     band = frequency[last]
     shape = np.maximum.accumulate(np.where(rows <= last, over, 1.0)[::-1], axis=0)[::-1]
     with np.errstate(divide="ignore", over="ignore"):
         tail = np.minimum((band / frequency[:, None]) ** _FALLS, 1e12)
     ratio = np.where(rows <= last, np.maximum(shape - 1.0, tail), tail)
-    return ratio / (1.0 + ratio), band, floor
+    return ratio / (1.0 + ratio), np.where(last > 1, band, 0.0), floor
 
 
 def _averaged(power: FloatArray) -> tuple[FloatArray, IntArray]:

@@ -13,28 +13,38 @@ from amhe_cli.core.errors import AmheError
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
 from amhe_cli.init.drives import KINDS, linear_entry, measured_joints, short
-from amhe_cli.init.parameters import carries_links
-from amhe_cli.init.signals import NOISE, Guess, Topic, free_bodies, torque_entry
+from amhe_cli.init.signals import (
+    NOISE,
+    Guess,
+    Topic,
+    free_bodies,
+    joint_of,
+    measured_as,
+    torque_entry,
+)
 from amhe_cli.logs import read_signals
 from amhe_cli.system.model.couplings import floats
+from amhe_cli.system.model.elements import names_of
 
 #: Dry friction, viscous friction at 1 rad/s, and a sensor's zero: sd, as a share of the torque's range.
 _FRICTION, _ZERO = 0.05, 0.03
 #: Sd of the numbers of a link's inertia: what a CAD file is worth.
 _LINK = 0.2
-#: Bounds of those of the last link, which may carry a tool that the model lacks; their sd is 1.
+#: Bounds of those of the last link that moves, which has all beyond it, and a tool that the model lacks; sd 1.
 _FAR = 4.0
 #: Seconds of a log that show the torques' ranges.
 _SECONDS = 60.0
+#: A joint that moves less than this in them stands still [rad or m].
+_STILL = 0.01
 
 
 def effort_signal(
     model: mujoco.MjModel, topics: Sequence[Topic], guesses: Sequence[Guess], log: Path, msg_path: Path | None
-) -> tuple[Guess, dict[str, float]] | None:
-    """The measured torques as what is compared, and each joint's range; None where a motion says more.
+) -> tuple[Guess, dict[str, float], list[str]] | None:
+    """The measured torques as what is compared, each one's range, and notes; None where a motion says more.
 
     They say more where nothing commands the joints, all of whose torques are known: the base is fixed, and no
-    body is free that might touch them.
+    body is free that might touch them. Joints that stand still are left out.
     """
     states = [guess for guess in guesses if "joints" in guess.entry]
     if len(states) != 1 or any("actuators" in guess.entry for guess in guesses) or free_bodies(model):
@@ -47,26 +57,71 @@ def effort_signal(
         return None
     topic = next(topic for topic in topics if topic.name == states[0].entry["topic"])
     named = entry["joint_force"]
-    names = list(named.values()) if isinstance(named, Mapping) else list(named)
-    columns = {"effort": tuple(entry["columns"]["effort"])} if "columns" in entry else {}
+    names = named if isinstance(named, Mapping) else {joint: joint for joint in named}
+    wanted: dict[str, tuple[str, ...]] = {}
+    if "columns" in entry:
+        column = dict(zip(topic.entries, topic.columns.get("position", ()), strict=False))
+        logged = measured_as(states[0])
+        wanted = {"effort": tuple(entry["columns"]["effort"])}
+        wanted |= {"position": tuple(column[logged[joint]] for joint in names)} if column else {}
     signal = Signal(
-        "torque", topic.table if columns else topic.name, ("effort",), names=() if columns else tuple(names),
-        columns=columns,
+        "torque", topic.table if wanted else topic.name, tuple(wanted) or ("position", "effort"),
+        names=() if wanted else tuple(names.values()), columns=wanted,
     )  # fmt: skip
     try:
-        efforts = read_signals(log, [signal], 0.01, LogSettings(), end=_SECONDS, msg_path=msg_path)
+        read = read_signals(log, [signal], 0.01, LogSettings(), end=_SECONDS, msg_path=msg_path)
     except AmheError:
         return None
-    ranges = np.ptp(efforts["torque.effort"].values, axis=0)
-    if not ranges.all():
+    ranges = dict(zip(names, np.ptp(read["torque.effort"].values, axis=0).tolist(), strict=True))
+    if not all(ranges.values()):
         return None  # a constant column measures nothing
+    notes = _off(model, list(names))
+    if "torque.position" in read.series:
+        moved = np.ptp(read["torque.position"].values, axis=0) > _STILL
+        still = [joint for joint, moves in zip(names, moved, strict=True) if not moves]
+        if 0 < len(still) < len(names):
+            entry, ranges = _without(entry, still), {j: r for j, r in ranges.items() if j not in still}
+            notes.append(
+                f"{', '.join(still)} stand{'s' * (len(still) == 1)} still: left out of joint_force, since "
+                "nothing says which part of dry friction acts"
+            )
     why = (
         "torques were measured, and nothing says what was commanded: match: effort compares them with those "
         "that the motion needs"
     )
-    return Guess("torque", entry, why, {"effort": NOISE["effort"]}), dict(
-        zip(named, map(float, ranges), strict=True)
-    )
+    return Guess("torque", entry, why, {"effort": NOISE["effort"]}), ranges, notes
+
+
+def _off(model: mujoco.MjModel, joints: Sequence[str]) -> list[str]:
+    """A note of actuators that are switched off, because what they give was measured."""
+    off = [actuator for actuator in names_of(model, "actuator") if joint_of(model, actuator) in joints]
+    if not off:
+        return []
+    several = len(off) > 1
+    return [
+        f"actuator{'s' * several} {', '.join(off)} {'are' if several else 'is'} off: nothing commands "
+        f"{'them' if several else 'it'}, and what drove the joint{'s' * several} was measured"
+    ]
+
+
+def _without(entry: Mapping[str, Any], joints: Sequence[str]) -> dict[str, Any]:
+    """A signal of torques without some joints."""
+    named = entry["joint_force"]
+    kept = [joint for joint in named if joint not in joints]
+    left = {**entry, "joint_force": {j: named[j] for j in kept} if isinstance(named, Mapping) else kept}
+    if "columns" in entry:
+        column = dict(zip(named, entry["columns"]["effort"], strict=True))
+        left["columns"] = {"effort": [column[joint] for joint in kept]}
+    return left
+
+
+def _beyond(model: mujoco.MjModel, body: int, link: int) -> bool:
+    """Whether a body hangs on a link, and is not it."""
+    while body > link:
+        body = int(model.body_parentid[body])
+        if body == link:
+            return True
+    return False
 
 
 def effort_parameters(model: mujoco.MjModel, ranges: Mapping[str, float]) -> Iterator[Guess]:
@@ -83,7 +138,7 @@ def effort_parameters(model: mujoco.MjModel, ranges: Mapping[str, float]) -> Ite
         name = model.body(row).name
         if name and model.body_mass[row] > 0.0:
             known: dict[str, Any] = {"prior_sd": _LINK}
-            if not carries_links(model, link):
+            if not any(_beyond(model, other, link) for other in links):
                 known = {"bounds": [-_FAR, _FAR], "prior_sd": 1.0}
             entry = known | {"targets": [{"body": name, "set": "pseudo_inertia"}]}
             yield Guess(f"{name}_inertia", entry, f"mass, centre and inertia of {name}: ten numbers")

@@ -141,6 +141,7 @@ def proposed(
     if matched:
         guesses = measured
         parameters = list(effort_parameters(model, matched[1]))
+        notes += matched[2]
     elif actuators:
         parameters = actuator_parameters(spec, model, guesses, guessed_gains=added, group=group, gains=gains)
         notes += floating(model, guesses) + (ungrouped(parameters) if group else [])

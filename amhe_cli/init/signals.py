@@ -54,6 +54,7 @@ class Topic:
         columns: For a part of a table, quantity -> its columns, in the order of `entries`.
         table: The table's name.
         paths: Of a type that is not built in, paths of its numbers -> their count where they are arrays.
+        rivals: Of a part of a table, columns that hold the same as others, which were taken.
     """
 
     name: str
@@ -64,6 +65,7 @@ class Topic:
     columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     table: str = ""
     paths: Mapping[str, int | None] = field(default_factory=dict)
+    rivals: tuple[str, ...] = ()
 
     @property
     def kind(self) -> str:
@@ -132,6 +134,11 @@ def notes_on(
     ]
     used = {guess.entry["topic"] for guess in guesses}
     notes += _proposals(model, [topic for topic in topics if topic.name not in used], guesses)
+    notes += [
+        f"not used: {', '.join(topic.rivals)}: other columns were taken in their place"
+        for topic in topics
+        if topic.name in used and topic.rivals
+    ]
     return notes + [f"not used: {_named(topic)}" for topic in topics if topic.name not in used]
 
 
@@ -151,8 +158,10 @@ def _efforts(guess: Guess, topics: Sequence[Topic]) -> str:
 
 
 def _named(topic: Topic) -> str:
-    """A topic with its type, which a table does not have."""
-    return topic.name if topic.type.startswith("table/") else f"{topic.name} ({topic.type})"
+    """A topic with its type; a table's part with its columns."""
+    if not topic.type.startswith("table/"):
+        return f"{topic.name} ({topic.type})"
+    return ", ".join(column for several in topic.columns.values() for column in several) or topic.name
 
 
 def _proposals(model: mujoco.MjModel, unused: Sequence[Topic], guesses: Sequence[Guess]) -> Iterator[str]:
@@ -177,14 +186,19 @@ def _proposals(model: mujoco.MjModel, unused: Sequence[Topic], guesses: Sequence
             )
 
 
+def measured_as(guess: Guess) -> dict[str, str]:
+    """Joints of a signal -> their names in the log."""
+    named = guess.entry["joints"]
+    return dict(named) if isinstance(named, Mapping) else {joint: joint for joint in named}
+
+
 def torque_entry(model: mujoco.MjModel, guess: Guess, topics: Sequence[Topic]) -> dict[str, Any]:
     """A signal of the torques that were measured beside a signal's joints; {} where there are none.
 
     Where the model has actuators, joints without one are passive: no torque drives them.
     """
     topic = next(topic for topic in topics if topic.name == guess.entry["topic"])
-    named = guess.entry["joints"]
-    names: dict[str, str] = dict(named) if isinstance(named, dict) else {joint: joint for joint in named}
+    names = measured_as(guess)
     driven = {joint_of(model, actuator) for actuator in names_of(model, "actuator")} or set(names)
     names = {str(joint): logged for joint, logged in names.items() if joint in driven}
     if not names or (topic.columns and "effort" not in topic.columns):

@@ -21,8 +21,8 @@ _QUANTITIES = {
 }
 #: Words that only say that a number was measured, the best first; any other word ranks behind them.
 _MEASURED = ("", "measured", "meas", "actual", "act", "state", "raw", "filtered", "filt")
-#: Words in the name of a column that holds commands.
-_COMMANDED = {*COMMANDS, "con", "des", "soll"}
+#: Words in the name of a column that holds commands, or what a model computed.
+_COMMANDED = {*COMMANDS, "con", "des", "soll", "cmptd", "computed", "calc", "calculated", "ff"}
 #: Words in the name of a column that holds what a drive was given, if it is not that of its supply.
 _DRIVING, _SUPPLY = {"voltage", "voltages", "volt", "volts", "duty", "pwm", "u"}, {"battery", "supply", "bus"}
 #: How LeRobot calls the measured and the commanded positions of joints.
@@ -45,6 +45,11 @@ class _Meaning:
         """Columns of one kind differ in their joint only."""
         lerobot = _LEROBOT.match(self.column)
         return self.rank, lerobot.group(1) if lerobot else re.sub(r"\d+", "#", self.column)
+
+    @property
+    def plain(self) -> bool:
+        """Whether it has a joint's number and nothing else: TorqueCur1 is not, where Torque1 is there."""
+        return self.entry.isdigit()
 
 
 def topics_in(
@@ -109,8 +114,10 @@ def _meaning(table: str, column: str, joints: Sequence[str]) -> _Meaning | None:
     if lerobot:
         parts = [lerobot.group(1).split(".")[-1], *parts[2 if "." in lerobot.group(1) else 1 :]]
     rest = [word for word in parts if word not in _QUANTITIES]
-    command = driving or bool(_COMMANDED & set(rest)) or bool(COMMANDS & set(words(table)))
-    rest = [word for word in rest if word not in _COMMANDED | _DRIVING]
+    desired = parts[0] != "d" and any(word.isdigit() for word in parts)  # tau_J_d_1, but neither d_q1 nor q_d
+    wanted = _COMMANDED | ({"d"} if desired else set())
+    command = driving or bool(wanted & set(rest)) or bool(COMMANDS & set(words(table)))
+    rest = [word for word in rest if word not in wanted | _DRIVING | {"j"}]
     measured = [word for word in rest if word in _MEASURED]
     entry = "_".join(word for word in rest if word not in _MEASURED and word not in KINDS)
     return _Meaning(
@@ -126,15 +133,18 @@ def _topic(
     names: tuple[str, ...] = ()
     for quantity in ("position", "velocity", "effort"):
         alike = [m for m in meanings if m.quantity == quantity]
-        for kind in sorted({m.kind for m in alike}):
+        kinds = {m.kind: not m.plain for m in alike}
+        for kind in sorted(kinds, key=lambda kind: (kinds[kind], kind)):
             group = [m for m in alike if m.kind == kind]
             if named := _named(group, [m for m in alike if m.rank == kind[0]], joints, alone):
                 names, columns[quantity] = named
                 break
     if not columns:
         return None
+    taken = {column.partition("[")[0] for several in columns.values() for column in several}
+    rivals = tuple(m.column for m in meanings if m.quantity in columns and m.column not in taken)
     kind = "table/msg/JointState"
-    return Topic(name, kind, table.rate, names, tuple(columns), columns, table.name)
+    return Topic(name, kind, table.rate, names, tuple(columns), columns, table.name, rivals=rivals)
 
 
 def _named(
@@ -149,7 +159,11 @@ def _named(
         if count == len(joints):
             return tuple(joints), tuple(f"{column}[{i}]" for i in range(count))
         return None
-    by_name = {joint: m.column for joint in joints for m in alike if m.entry and m.entry == _bare(joint)}
+    bare = {_bare(joint): joint for joint in joints}
+    first = 1 if "0" in {m.entry for m in group} and "0" not in bare else 0  # q_0 is joint1
+    entries = [(str(int(m.entry) + first) if m.plain else m.entry, m.column) for m in alike]
+    found = {bare[entry]: column for entry, column in entries if entry and entry in bare}
+    by_name = {joint: found[joint] for joint in joints if joint in found}
     if by_name:
         return tuple(by_name), tuple(by_name.values())
     listed = all(re.search(r"\d", m.entry) or _LEROBOT.match(m.column) for m in group)

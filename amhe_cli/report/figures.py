@@ -57,6 +57,9 @@ _SIGNED = LinearSegmentedColormap.from_list(
 #: Width of the page's figures [inch].
 WIDTH = 10.4
 
+#: Of more parameters than this, correlations are colours alone, and those that rest on the prior get no cost.
+MANY = 24
+
 #: Panels of one clip; if there are more columns, those that move most are shown.
 MAX_PANELS = 9
 
@@ -252,28 +255,29 @@ def _line_of(i: int) -> tuple[str, Literal["solid", "dashed", "dotted"]]:
 
 
 def correlation_figure(names: Sequence[str], correlations: FloatArray) -> Markup:
-    """Heat map of the posterior correlations."""
-    size = len(names)
-    label = 0.2 + 0.075 * max(len(name) for name in names)  # [inch]
-    wide, high = label + 0.62 * size + 0.1, 0.6 * label + 0.5 * size + 0.1
+    """Heat map of the posterior correlations; of more than `MANY` parameters it has colours, and no numbers."""
+    size, few = len(names), len(names) <= MANY
+    font, across, down = (9.0, 0.62, 0.5) if few else (6.0, 0.12, 0.12)
+    label = 0.2 + font / 120.0 * max(len(name) for name in names)  # [inch]
+    below = label * (0.6 if few else 1.0)
+    wide, high = label + across * size + 0.1, below + down * size + 0.1
     with styled("correlation", **{"axes.grid": False}):
         figure = Figure(figsize=(wide, high))
-        axes = figure.add_axes((label / wide, 0.6 * label / high, 0.62 * size / wide, 0.5 * size / high))
+        axes = figure.add_axes((label / wide, below / high, across * size / wide, down * size / high))
         axes.pcolormesh(
-            correlations[::-1], cmap=_SIGNED, vmin=-1.0, vmax=1.0, edgecolors="white", linewidth=2
+            correlations[::-1], cmap=_SIGNED, vmin=-1.0, vmax=1.0, edgecolors="white", linewidth=2.0 * few
         )
-        for row in range(size):
-            for column in range(size):
-                value = correlations[row, column]
-                color = _readable_on(_SIGNED(0.5 + 0.5 * value))
-                text = f"{value:.2f}".replace("-0.00", "0.00")
-                axes.text(
-                    column + 0.5, size - row - 0.5, text, ha="center", va="center", color=color, fontsize=8
-                )
+        for row, column in np.ndindex(size, size) if few else ():
+            value = correlations[row, column]
+            axes.text(
+                column + 0.5, size - row - 0.5, f"{value:.2f}".replace("-0.00", "0.00"),
+                ha="center", va="center", color=_readable_on(_SIGNED(0.5 + 0.5 * value)), fontsize=8,
+            )  # fmt: skip
         centres = np.arange(size) + 0.5
         # the page moves a name by its anchor, which is at its tick
-        axes.set_xticks(centres, names, rotation=30, ha="right", rotation_mode="anchor")
-        axes.set_yticks(centres, list(names)[::-1])
+        turned = 30 if few else 90
+        axes.set_xticks(centres, names, rotation=turned, ha="right", rotation_mode="anchor", fontsize=font)
+        axes.set_yticks(centres, list(names)[::-1], fontsize=font)
         for spine in axes.spines.values():
             spine.set_visible(False)
         return svg(figure)
@@ -293,8 +297,12 @@ def luminance(color: Sequence[float]) -> float:
 
 
 def profile_figure(parameters: Sequence[ParameterResult]) -> Markup | None:
-    """Cost along each parameter; None if no profile was computed."""
-    drawn = [(p, *p.profile) for p in parameters if p.profile is not None]
+    """Cost along each parameter; None if no profile was computed.
+
+    Of more than `MANY`, those that the logs hardly narrow are left out.
+    """
+    told = [p for p in parameters if len(parameters) <= MANY or p.verdict != "prior"]
+    drawn = [(p, *p.profile) for p in told if p.profile is not None]
     if not drawn:
         return None
     grid = Grid(len(drawn), min(4, max(3, len(drawn))), height=2.3)

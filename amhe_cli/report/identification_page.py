@@ -192,7 +192,8 @@ def _sections(result: Identification, record: Mapping[str, Any]) -> Iterator[Sec
         yield Section(
             "Cost along each parameter",
             text="The other parameters are held at the estimate. Band: 90 % interval; blue: estimate; "
-            "dashed: prior. A flat line means that the logs hardly narrow the parameter down.",
+            "dashed: prior. A flat line means that the logs hardly narrow the parameter down; of many "
+            "parameters, those are left out.",
             figure=profiles,
         )
     if len(result.parameters) > 1:

@@ -499,7 +499,7 @@ def test_targets_do_not_drive_a_torque_motor(tmp_path: Path) -> None:
     system, text, _ = made(tmp_path, ARM, [tmp_path / "log.csv"])
     assert [signal.name for signal in system.signals] == ["joints"]
     assert "no command topic was found" in text
-    assert "not used: the table command\n" in text
+    assert "not used: cmd_pos\n" in text
 
 
 #: A cart that a servo drives, and a pole that nothing drives.

@@ -73,7 +73,7 @@ class Reach:
     def _moving(self, key: str, width: int, first: bool = False) -> BoolArray:
         """Which of k columns of a channel the parameters, and first-state errors, move, (d + nx, k)."""
         tables = (self.z, self.first) if first else (self.z,)
-        every = (np.ones((len(next(iter(table.values()))), width), dtype=bool) for table in tables)
+        every = (np.ones((len(next(iter(table.values()), ())), width), dtype=bool) for table in tables)
         return np.concatenate([table.get(key, rows) for table, rows in zip(tables, every, strict=True)])
 
 

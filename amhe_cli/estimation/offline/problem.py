@@ -159,8 +159,13 @@ class Problem:
         *,
         straight: bool = False,
     ) -> Linearisation:
-        """Slopes of a cost about z (d,) and first-state errors, from samples of a shape (d, d)."""
+        """Slopes of a cost about z (d,) and first-state errors, from samples of a shape (d, d).
+
+        Efforts along a motion never jitter: short steps give their slopes exactly, where wide samples of
+        inertias would bend those of what efforts are linear in.
+        """
         samples, rough = self.settings.identify.samples, self.rough
+        straight |= self.system.match == "effort"
         return linearise(
             cost, z, first, shape, samples, rng, averaged=rough, straight=straight, reach=self.reach
         )
