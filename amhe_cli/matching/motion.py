@@ -43,7 +43,8 @@ class MeasuredMotion:
         stretch: Number of the stretch that each is in, shape (T,).
         qpos, qvel, qacc: The motion, shape (T, nq), (T, nv) and (T, nv), in MuJoCo's coordinates.
         sd: Sd of the errors of position, velocity and acceleration, shape (3, nv); 0 of what no signal gives.
-        band: Frequency above which the noise is larger than the motion [Hz], shape (nv,); 0 likewise.
+        band: Frequency above which the noise is larger than the motion [Hz], shape (nv,); 0 likewise, and of
+            what stands.
         step: Time from one row to the next [s].
     """
 

@@ -167,8 +167,9 @@ signals:
     mujoco.mj_setState(system.model, data, vector, system.input_spec)
     np.testing.assert_array_equal(data.mocap_pos[0], [1, 2, 3])
     np.testing.assert_array_equal(data.mocap_quat[0], [0, 1, 0, 0])
-    assert data.qfrc_applied[7] == 4
-    assert data.ctrl[0] == 5
+    mujoco.mj_forward(system.model, data)
+    assert data.actuator("amhe/torque/knee").force[0] == 4
+    assert data.actuator("hip_servo").ctrl[0] == 5
 
 
 @pytest.mark.parametrize("frame", ["world", "body"])

@@ -105,6 +105,7 @@ def motion_in(
         most: No more instants than about these.
     """
     logs, found, bands = list(dict.fromkeys(part.log for part in parts)), [], []
+    known = np.ones(system.model.nv, dtype=bool)
     total = sum(part.length for part in parts)
     for part in parts:
         try:
@@ -116,10 +117,11 @@ def motion_in(
         for number in np.unique(measured.stretch[whole]):
             rows = np.arange(len(measured.rows))[whole]
             found.append((measured, rows[measured.stretch[rows] == number], driven, part.log))
-        bands.append(measured.band)
+        known &= measured.sd[0] > 0.0
+        bands.append(np.where(measured.band > 0.0, measured.band, 0.5 / measured.step))  # what stands has none
     if not found:
         return None
-    dofs = tuple(map(int, np.flatnonzero(np.min(bands, axis=0))))
+    dofs = tuple(map(int, np.flatnonzero(known)))
     band = max(_LOWEST, _SHARE * float(np.median(bands, axis=0)[list(dofs)].min()))
     step = found[0][0].step
     sparse = max(1, min(int(total * system.dt / step) // most, int(_WIDTH / _FINE / band / step)))

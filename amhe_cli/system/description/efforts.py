@@ -16,8 +16,7 @@ from amhe_cli.system.description.data import Channel, Input
 from amhe_cli.system.description.schema import Description, SignalEntry
 from amhe_cli.system.description.wiring import Wiring, split_key, unit_of
 
-#: State bits of the forces at joints and of the controls.
-_JOINT_FORCE, _CTRL = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED), int(mujoco.mjtState.mjSTATE_CTRL)
+_CTRL = int(mujoco.mjtState.mjSTATE_CTRL)
 _AT_JOINT = mujoco.mjtTrn.mjTRN_JOINT
 
 
@@ -59,6 +58,21 @@ def matching_efforts(
     return Wiring(signals, tuple(channels), inputs, wiring.input_spec)
 
 
+def unpowered(wiring: Wiring, model: mujoco.MjModel) -> list[int]:
+    """Actuators of joints whose force was measured, as far as nothing commands them: it was theirs, too.
+
+    A servo would hold its joint at 0 against that force.
+    """
+    given = {dof for one in wiring.inputs if not one.delayed for dof in _driven(one, wiring.input_spec, model)}
+    fed = {row for one in wiring.inputs for row in _actuators(one, wiring.input_spec, model)}
+    return [
+        row
+        for row in set(range(model.nactuator)) - fed
+        if model.actuator_trntype[row] == _AT_JOINT
+        and int(model.jnt_dofadr[model.actuator_trnid[row, 0]]) in given
+    ]
+
+
 def _acted_on(channel: Channel, model: mujoco.MjModel) -> tuple[int, ...] | None:
     """Degrees of freedom whose actuator forces a channel measures; None of another channel."""
     kind = int(mujoco.mjtSensor.mjSENS_JOINTACTFRC)
@@ -70,20 +84,22 @@ def _acted_on(channel: Channel, model: mujoco.MjModel) -> tuple[int, ...] | None
 
 def _driven(force: Input, input_spec: int, model: mujoco.MjModel) -> tuple[int, ...]:
     """Degrees of freedom that an input acts on with its own numbers: as forces, or through plain motors."""
-
-    def part(bit: int, width: int) -> range:
-        begin = mujoco.mj_stateSize(model, input_spec & (bit - 1))
-        return range(begin, begin + width) if input_spec & bit else range(0)
-
-    applied, controls = part(_JOINT_FORCE, model.nv), part(_CTRL, model.nu)
-    if force.columns[0] in applied:
-        return tuple(column - applied.start for column in force.columns)
-    found = []
-    for column in force.columns if force.delayed and split_key(force.key)[1] == "effort" else ():
-        row = int(np.flatnonzero(model.actuator_ctrladr == column - controls.start)[0])
-        kinds = model.actuator_trntype[row], model.actuator_gaintype[row], model.actuator_biastype[row]
-        plain = kinds == (_AT_JOINT, mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_NONE)
+    rows, found = _actuators(force, input_spec, model), []
+    for row in rows if not force.delayed or split_key(force.key)[1] == "effort" else ():
         size = model.actuator_gear[model.actuator_outadr[row], 0] * model.actuator_gainprm[row, 0]
-        if plain and size == 1.0 and not model.actuator_dyntype[row]:
+        plain = model.actuator_gaintype[row] == mujoco.mjtGain.mjGAIN_FIXED and not model.actuator_dyntype[row]
+        plain &= model.actuator_biastype[row] == mujoco.mjtBias.mjBIAS_NONE or not force.delayed
+        if model.actuator_trntype[row] == _AT_JOINT and plain and size == 1.0:
             found.append(int(model.jnt_dofadr[model.actuator_trnid[row, 0]]))
     return tuple(found) if len(found) == len(force.columns) else ()
+
+
+def _actuators(one: Input, input_spec: int, model: mujoco.MjModel) -> list[int]:
+    """Actuators that an input feeds."""
+    first = mujoco.mj_stateSize(model, input_spec & (_CTRL - 1))
+    width = model.nu if input_spec & _CTRL else 0
+    return [
+        int(np.flatnonzero(model.actuator_ctrladr <= column - first)[-1])
+        for column in one.columns
+        if 0 <= column - first < width
+    ]

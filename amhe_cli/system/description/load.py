@@ -11,12 +11,12 @@ from typing import Any
 import mujoco
 from pydantic import BaseModel
 
-from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.errors import NOTE, ConfigError, one_of
 from amhe_cli.core.settings import MheSettings, Settings
 from amhe_cli.core.yaml_file import Place, YamlFile, merged
 from amhe_cli.system.description.cautions import caution
 from amhe_cli.system.description.data import SystemData
-from amhe_cli.system.description.efforts import matching_efforts
+from amhe_cli.system.description.efforts import matching_efforts, unpowered
 from amhe_cli.system.description.folders import FILE_NAME, find_system
 from amhe_cli.system.description.parameters import generalise, unknowns_of
 from amhe_cli.system.description.schema import Description, SystemEntry, robot_groups, validated
@@ -138,7 +138,9 @@ def _built(
     draft = draft_wiring(source, entry, spec, _compiled(source, spec))
     base = _compiled(source, spec)
     wiring = draft.wired(base)
-    delays = draft.commanded(base, wiring)
+    delays, off = draft.commanded(base, wiring), unpowered(wiring, base)
+    base.actuator_gainprm[off], base.actuator_biasprm[off] = 0.0, 0.0
+    base.jnt_actfrclimited[base.actuator_trnid[off, 0]] = False  # that is theirs
     if entry.match == "effort":
         wiring = matching_efforts(source, entry.signals, wiring, base)
     calibrated = draft.calibrated(entry.signals, wiring, base)
@@ -156,6 +158,7 @@ def _built(
     if warn:
         caution(where, base, edits)
         _warn_of_unset(where, draft.unset_joints(), keyframe)
+        _note_off(where, [base.actuator(row).name or f"number {row}" for row in off])
     return SystemData(
         name=name,
         folder=folder,
@@ -199,6 +202,15 @@ def _warn_of_unset(where: str, joints: list[str], keyframe: int | None) -> None:
             "%s: no signal gives the state of joint %s: it starts each clip at zero; give one, or a keyframe",
             where,
             ", ".join(joints),
+        )
+
+
+def _note_off(where: str, actuators: list[str]) -> None:
+    if actuators:
+        logger.log(
+            NOTE,
+            f"{where}: off, since nothing commands them and the forces at their joints are given: "
+            f"{', '.join(actuators)}",
         )
 
 

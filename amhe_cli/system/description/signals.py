@@ -43,7 +43,6 @@ WRENCH = ("force", "torque")
 #: State bit of the controls.
 _CTRL = mujoco.mjtState.mjSTATE_CTRL
 #: State bit of the forces at joints.
-_JOINT_FORCE = mujoco.mjtState.mjSTATE_QFRC_APPLIED
 #: Quantity of a mocap body -> its state bit.
 _MOCAP = {"position": mujoco.mjtState.mjSTATE_MOCAP_POS, "orientation": mujoco.mjtState.mjSTATE_MOCAP_QUAT}
 #: Quantity that is read from a topic that is only read, by the end of its type's name.
@@ -235,14 +234,21 @@ def _driven_actuators(draft: WiringDraft, name: str, entry: SignalEntry) -> None
 
 
 def _driven_joint_force(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
-    """Known forces or torques at joints, in addition to the actuators'."""
+    """Motors that give known forces or torques at joints."""
     names, logged = names_of_log(entry.joint_force)
     rows = single_joints(draft.model, names)
     quantity = one_quantity(entry, "value" if str(entry.type).endswith("MultiArray") else "effort")
     check_noise(entry, (quantity,))  # of what is compared where efforts are matched
     signal = signal_of(name, entry, (quantity,), logged, is_input=True)
-    columns: list[int | str] = [int(draft.model.jnt_dofadr[row]) for row in rows]
-    draft.driven.append(Drive(signal.key(quantity), _JOINT_FORCE, columns))
+    motors = [f"amhe/{name}/{draft.model.joint(row).name}" for row in rows]
+    for row, motor in zip(rows, motors, strict=True):
+        draft.spec.add_actuator(
+            name=motor,
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            target=draft.model.joint(row).name,
+            biastype=mujoco.mjtBias.mjBIAS_AFFINE,  # a bias of the log's numbers acts through it
+        )
+    draft.driven.append(Drive(signal.key(quantity), _CTRL, motors))
     draft.signals.append(signal)
 
 

@@ -95,8 +95,9 @@ class WiringDraft:
         forces = {
             split_key(drive.key): [id_of(model, "actuator", str(part)) for part in drive.parts]
             for drive in self.driven
-            if entries[split_key(drive.key)[0]].force_on is not None and drive.arm is None
+            if not drive.delayed and drive.bit == mujoco.mjtState.mjSTATE_CTRL and drive.arm is None
         }
+        forces = {key: rows for key, rows in forces.items() if key not in channels}  # these are compared
         return CalibrationDraft(entries, channels, forces, model)
 
     def commanded(self, model: mujoco.MjModel, wiring: Wiring) -> CommandDelays:
