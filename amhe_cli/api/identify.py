@@ -8,21 +8,25 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from amhe_cli import __version__
 from amhe_cli.api.arguments import checked
-from amhe_cli.core.belief import Belief
+from amhe_cli.core.belief import Belief, belief_of
 from amhe_cli.core.each_log import check_logs, fixing
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.log import Log
 from amhe_cli.core.shown import SavedView
+from amhe_cli.core.statistics import positive
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.estimation import identification
 from amhe_cli.estimation.core.result import Fit, Identification, Iteration, ParameterResult
+from amhe_cli.estimation.uncertainty.verdicts import DETERMINED
 from amhe_cli.logs.truth import truth_in_metadata
 from amhe_cli.system.provenance import hashes, inputs_record, provenance
 from amhe_cli.system.system import System
@@ -254,6 +258,13 @@ def identify(
         lacking = {name for name in by_log if any(name not in log.known for log in fitted)}
         stated = {name: fixed[name] for name in lacking}
         fitted, validation = (fixing(some, fixed, stated) for some in (fitted, validation))
+    effort, share = None, 1.0
+    if chosen.match == "both":
+        how = {"fix": fix, "only": only, "seed": seed, "threads": threads, "progress": progress}
+        effort = identify(
+            system.matching("effort"), given, held_out=held_out, prior=prior, belief_anyway=belief_anyway, **how
+        )
+        start, share = _half(effort), 0.5
     system = chosen
     check_logs(fitted, validation, system.space, system.fixed)
     options = identification.IdentifyOptions(
@@ -263,20 +274,60 @@ def identify(
         max_time=max_time,
         checkpoint=None if checkpoint is None else Path(checkpoint),
         prior=start,
+        share=share,
         executor=executor,
         engine=engine,
     )
     begun = time.monotonic()
     with collected_warnings() as warnings:
-        if start is not None:
+        if start is not None and effort is None:
             _warn_of_same_logs(start, fitted)
         found = identification.identify(
             system, fitted, validation, options, progress or (lambda iteration, total: None)
         )
+    if effort is not None:
+        found = replace(found, parameters=tuple(_lines(effort, found, start)))
     result = Result(system, found, fitted, validation, seed, time.monotonic() - begun, tuple(warnings))
     if found.interrupted:
         raise Interrupted(result)
     return result
+
+
+def _half(effort: Result) -> Belief:
+    """The prior of the efforts' result, and half of what that learned from the logs.
+
+    Efforts and motion are two looks at the same logs, whose errors nobody knows to be independent. If each
+    look counts half, what both say is as sure as one of them says, and nothing is surer than the logs make it
+    (covariance intersection: Julier and Uhlmann 1997, "A non-divergent estimation algorithm in the presence
+    of unknown correlations").
+    """
+    space, belief = effort.system.space, effort.belief
+    away, before = space.z_of(belief.estimate), space.prior_precision
+    after = np.linalg.inv(belief.covariance / np.outer(space.prior_sd, space.prior_sd))
+    half = before + 0.5 * positive(after - before)
+    return belief_of(effort.system, np.linalg.solve(half, 0.5 * after @ away), np.linalg.inv(half))
+
+
+def _lines(effort: Result, found: Identification, start: Belief | None) -> Iterator[ParameterResult]:
+    """Each parameter's line against the system's own prior, and not against what efforts said."""
+    assert start is not None, "efforts came first"
+    for p, sd in zip(found.parameters, np.sqrt(np.diag(start.covariance)), strict=True):
+        known = effort.parameters[p.name]
+        row = effort.system.space.names.index(p.name)
+        line = replace(
+            p,
+            prior=known.prior,
+            prior_sd=known.prior_sd,
+            shrinkage=1.0 - (1.0 - p.shrinkage) * float(sd / effort.system.space.prior_sd[row]),
+        )
+        if p.verdict in ("weak", "prior"):  # the motion says little: what do efforts say?
+            still = known.verdict not in ("identified", "conditional") or line.shrinkage >= DETERMINED
+            verdict = known.verdict if still else "weak"
+            if found.unexplained and verdict in ("identified", "conditional"):
+                verdict = "model-sensitive"
+            given = known.given if verdict == "conditional" else ""
+            line = replace(line, verdict=verdict, given=given, reasons=(*p.reasons, *known.reasons))
+        yield line
 
 
 def _logs(system: System, given: Log | Sequence[Log], argument: str) -> tuple[Log, ...]:

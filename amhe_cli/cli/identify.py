@@ -52,8 +52,9 @@ def _a_cause(ctx: click.Context, param: click.Parameter, value: str | None) -> s
 )
 @options.setting(
     "match",
-    type=click.Choice(["motion", "effort"]),
-    help="Compare the motion under what drives it, or the joints' efforts along it.  [default: the system's]",
+    type=click.Choice(["motion", "effort", "both"]),
+    help="Compare the motion under what drives it, the joints' efforts along it, or both.  [default: the "
+    "system's]",
 )
 @click.option(
     "--max-time",

@@ -176,7 +176,7 @@ def _judged(
         against, shown, advice = (watch.short,) * bool(against or shown), (), ""
     for text in against:
         logger.warning(f"{text}: no value is called identified{advice}")
-    forwards = problem.system.match == "motion"
+    forwards = problem.system.match != "effort"
     if held_out and forwards and watch.allows("error against horizon", _predictions(problem, validation)):
         held_out = replace(held_out, horizons=horizon_errors(problem, validation, finding.z))
     return held_out, (*against, *shown)

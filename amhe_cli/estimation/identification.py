@@ -62,6 +62,7 @@ class IdentifyOptions:
     max_time: float | None = None
     checkpoint: Path | None = None
     prior: Belief | None = None
+    share: float = 1.0
     executor: Executor | None = None
     engine: str = "cpu"
 
@@ -138,7 +139,8 @@ def searched_for(
         _warn(system, problem)
     watch.keep(RESERVE * problem.linearisation)
     kept = Checkpoint(options.checkpoint, problem, options.method)
-    finding = _search(problem, validation, options.method, watch, kept, quick)
+    known = quick or options.share < 1.0  # a search that begins at values that explain much cannot gain much
+    finding = _search(problem, validation, options.method, watch, kept, known)
     return Search(problem, finding, validation, watch, model)
 
 
@@ -175,7 +177,8 @@ def _pose(
     else:
         fit, held = split_held_out(training, clips.held_out)
     engine = open_engine(system, threads=options.threads, executor=options.executor, kind=options.engine)
-    problem = Problem(system, ClipPool(system, fit, clips), engine, options.seed, threads=options.threads)
+    pool = ClipPool(system, fit, clips)
+    problem = Problem(system, pool, engine, options.seed, threads=options.threads, share=options.share)
     if not problem.clips:
         raise EstimationError(_no_clips(problem.pool))
     validation = ClipPool(system, held, clips)

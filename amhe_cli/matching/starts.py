@@ -145,7 +145,7 @@ def first_index(system: System) -> IntArray:
         none where efforts are matched, as the whole motion is measured.
     """
     wrong = np.zeros(2 * system.model.nv, dtype=bool)
-    for channel in system.channels if system.match == "motion" else ():
+    for channel in system.channels if system.match != "effort" else ():
         if channel.sets_state:
             wrong[tangent_of(system, channel)] = True
     nv, dofs = system.model.nv, system.model.jnt_dofadr

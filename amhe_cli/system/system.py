@@ -20,7 +20,7 @@ from amhe_cli.core.signals import remapped
 from amhe_cli.core.yaml_file import merged
 from amhe_cli.system.description.data import SystemData
 from amhe_cli.system.description.doubts import doubts_of
-from amhe_cli.system.description.load import described, load
+from amhe_cli.system.description.load import described, load, matched
 from amhe_cli.system.model.urdf import UrdfOptions
 from amhe_cli.system.parameters.identity import parts_of, sets_of
 
@@ -80,8 +80,8 @@ class System(SystemData, Displayed):
             signals: Name -> entry likewise; `topic` may be left out.
             settings: Nested settings over the defaults.
             keyframe: Name of the keyframe that holds the state of everything that no signal gives.
-            match: What is compared with the logs: the 'motion' under what drives it, or the 'effort' of the
-                joints along their motion.
+            match: What is compared with the logs: the 'motion' under what drives it, the 'effort' of the
+                joints along their motion, or 'both'.
             name: Name of the system; None: that of the model.
             packages: Folders of the ROS packages that a URDF's meshes lie in, by name; others are looked for
                 in the folders above the URDF.
@@ -95,6 +95,11 @@ class System(SystemData, Displayed):
         entry |= {"keyframe": keyframe} if keyframe else {}
         made = described(model, entry, name, UrdfOptions(packages or {}, meshes), warn=warn)
         return cls(**vars(made))
+
+    def matching(self, what: str) -> System:
+        """The system with something else compared with its logs; see `match` of `from_model`."""
+        made = matched(self, what)
+        return System(**vars(made)).fixing({n: v for n, v in self.fixed.items() if n in made.space.names})
 
     def __repr__(self) -> str:
         signals = ", ".join(signal.name for signal in self.signals)

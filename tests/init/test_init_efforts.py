@@ -35,3 +35,44 @@ def test_torques_that_do_not_change_are_no_measurement(tmp_path: Path) -> None:
     notes = init_system(model, [tmp_path / "still.csv"], tmp_path / "arm")
     assert System.load(tmp_path / "arm", warn=False).match == "motion"
     assert any("they can drive the model" in note for note in notes)
+
+
+def renamed(text: str, **words: str) -> str:
+    """A table with other words, and numbers from 0, in the names of its columns."""
+    head, rows = text.split("\n", 1)
+    names = [name if name == "time" else f"{words[name[:-1]]}{int(name[-1]) - 1}" for name in head.split(",")]
+    return ",".join(names) + "\n" + rows
+
+
+def test_rival_columns_and_numbers_from_zero_are_told_apart(tmp_path: Path) -> None:
+    model, log = bundled_models()["arm_torque"], bundled_logs()["arm_torque"]
+    text = renamed(log.read_text(), q="q_", dq="dq_", tau="tau_J_")
+    lines = [line.split(",") for line in text.splitlines()]
+    wanted = [[f"tau_J_d_{i}" for i in range(7)], *(line[-7:] for line in lines[1:])]
+    currents = [[f"tau_cur_{i}" for i in range(7)], *(line[-7:] for line in lines[1:])]
+    rows = (",".join([*a, *b, *c]) for a, b, c in zip(lines, wanted, currents, strict=True))
+    (tmp_path / "log.csv").write_text("\n".join(rows) + "\n")
+    notes = init_system(model, [tmp_path / "log.csv"], tmp_path / "arm")
+    signals = {s.name: s for s in System.load(tmp_path / "arm", warn=False).signals}
+    assert signals["joints"].columns["position"] == tuple(f"q_{i}" for i in range(7))
+    assert signals["torque"].columns["effort"] == tuple(f"tau_J_{i}" for i in range(7))
+    assert any("not used: tau_cur_0," in note and "in their place" in note for note in notes)
+    assert any(note.startswith("not used: tau_J_d_0,") for note in notes)
+    assert any(note.startswith("actuators servo1, ") and "are off" in note for note in notes)
+
+
+def test_joints_that_stand_still_are_left_out(tmp_path: Path) -> None:
+    model, log = bundled_models()["arm_torque"], bundled_logs()["arm_torque"]
+    lines = [line.split(",") for line in log.read_text().splitlines()]
+    for line in lines[1:]:
+        line[1:4] = ["0.1", "-0.2", "0.3"]
+    (tmp_path / "log.csv").write_text("\n".join(map(",".join, lines)) + "\n")
+    notes = init_system(model, [tmp_path / "log.csv"], tmp_path / "arm")
+    system = System.load(tmp_path / "arm", warn=False)
+    (effort,) = [c for c in system.channels if c.compared]
+    assert effort.columns == (3, 4, 5, 6)
+    assert not [name for name in system.space.names if name.startswith(("joint1", "joint3", "link2"))]
+    assert any(note.startswith("joint1, joint2, joint3 stand still") for note in notes)
+    motion = system.matching("motion")  # the same torques drive the model, through motors with their zeros
+    assert [one.key for one in motion.inputs] == ["torque.effort"] and motion.match == "motion"
+    assert not motion.model.actuator("servo4").gainprm.any() and motion.model.actuator("servo1").gainprm[0]

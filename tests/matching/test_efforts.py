@@ -181,3 +181,35 @@ def test_what_grows_with_load_is_found_in_efforts():
     series = {**log.series, key: replace(log.series[key], values=values)}
     found = identify(system, [replace(log, series=series)], seed=0).parameters["load"]
     assert abs(found.estimate - k) < 3.0 * found.sd < 0.06
+
+
+def test_both_count_each_look_at_a_log_half():
+    only = {name: PARAMETERS[name] for name in ("lower", "damping", "offset")}
+    t, rng, found = np.arange(0.0, 8.0, DT), np.random.default_rng(4), {}
+    effort = system_of(parameters=only)
+    theta = truth(effort, 5)
+    model, values = effort.edits.apply(effort.model, theta), dict(zip(only, theta, strict=True))
+    model.actuator_gainprm, model.actuator_biasprm = 0.0, 0.0
+    data, wanted, speed, moved, given = mujoco.MjData(model), path(t), path(t, 1), [], []
+    data.qpos, data.qvel = wanted[0], speed[0]
+    for q, v in zip(wanted, speed, strict=True):
+        moved.append(np.array(data.qpos))
+        data.qfrc_applied = 200.0 * (q - data.qpos) + 8.0 * (v - data.qvel)
+        given.append(np.array(data.qfrc_applied))
+        mujoco.mj_step(model, data)
+    noise = 1e-3 * rng.standard_normal((2, *wanted.shape))
+    arrays = {
+        "joints": {"time": t, "position": moved + noise[0]},
+        "torque": {"time": t, "effort": given + np.array([0.0, values["offset"]]) + noise[1]},
+    }
+    noises = {"joints": {"position": 1e-3}, "torque": {"effort": 1e-3}}
+    signals = {name: {**SIGNALS[name], "noise": noises[name]} for name in SIGNALS}
+    for match in ("effort", "motion", "both"):
+        system = system_of(parameters=only, signals=signals, match=match)
+        found[match] = identify(system, Log.from_arrays(arrays, system), threads=1).parameters
+    for name, value in values.items():
+        sd = {match: rows[name].sd for match, rows in found.items()}
+        assert abs(found["both"][name].estimate - value) < 3.0 * sd["both"] + 1e-3
+        assert 0.9 * min(sd.values()) < sd["both"] < 1.5 * min(sd["effort"], sd["motion"])
+        assert found["both"][name].prior == pytest.approx(found["effort"][name].prior)
+        assert found["both"][name].verdict == found["effort"][name].verdict

@@ -55,6 +55,7 @@ class Problem:
         only: Fit these clips alone, a part of the problem.
         whole: The problem of which this is a part: what moves what is the same.
         threads: Number of CPU threads, for what a coarse engine cannot decide.
+        share: How often what the logs say counts: 0.5 where the prior has a half of it already.
     """
 
     system: System
@@ -64,6 +65,7 @@ class Problem:
     only: tuple[Window, ...] = ()
     whole: Problem | None = None
     threads: int = 1
+    share: float = 1.0
 
     def part(self, clips: IntArray) -> Problem:
         """The same problem on some of its clips."""
@@ -137,7 +139,7 @@ class Problem:
 
         What was left out of a long log has not shaped the estimate, and narrows no interval.
         """
-        return sum(w.duration for w in self.clips) / sum(w.duration for w in windows)
+        return self.share * sum(w.duration for w in self.clips) / sum(w.duration for w in windows)
 
     @cached_property
     def linearisation(self) -> int:
@@ -288,7 +290,7 @@ class Problem:
         at_ends = cost.residuals(np.concatenate((np.zeros((1, self.active.size)), *ends)))
         felt = np.any([columns.any(axis=1) for columns in _moved_columns(cost, at_ends).values()], axis=0)
         felt = (felt | ~at_ends.completed[1:].all(axis=1)).reshape(2, -1).any(axis=0)
-        forwards = self.system.match == "motion"
+        forwards = self.system.match != "effort"
         qpos, inputs = self._states(cost, np.zeros(len(self.system.space))) if forwards else ([], [])
         rows = np.linspace(0, len(qpos) - 1, min(len(qpos), _LOOKS)).astype(int)
         cells = {parameter.name: own for parameter, own in self.system.edits.by_parameter()}

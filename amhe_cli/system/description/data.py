@@ -143,4 +143,4 @@ class SystemData:
     keyframe: int | None = None
     calibration: SignalCalibration = field(default_factory=SignalCalibration)
     given: Mapping[str, Any] = field(default_factory=dict)
-    match: Literal["motion", "effort"] = "motion"
+    match: Literal["motion", "effort", "both"] = "motion"

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
+import yaml
 from pydantic import BaseModel
 
 from amhe_cli.core.errors import NOTE, ConfigError, one_of
@@ -74,6 +75,20 @@ def described(
     assert entry is not None, "no mistake was noted"
     text = entry.model_dump_json(indent=2, exclude_defaults=True) + "\n"  # JSON is YAML too
     return _built(arguments, entry.model, entry, spec, entry.model, None, text, warn)
+
+
+def matched(data: SystemData, match: str) -> SystemData:
+    """See `System.matching`."""
+    assert data.original is not None, "specs are only left out for other processes"
+    given = merged(yaml.safe_load(data.text), _placed(data.given))
+    own = {key: value for key, value in given.items() if key not in ("boxes", "model", "match")}
+    arguments = Arguments({**own, "model": data.name, "match": match})
+    entry = validated(arguments, type(data.settings))
+    arguments.raise_problems()
+    assert entry is not None, "no mistake was noted"
+    spec, given = data.original.copy(), {**data.given, "match": match}
+    made = _built(arguments, data.name, entry, spec, data.name, data.folder, data.text, False)
+    return replace(made, given=given)
 
 
 class Arguments:

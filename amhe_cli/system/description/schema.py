@@ -158,7 +158,7 @@ class SystemEntry(_Entry):
     )
     parameters: Annotated[dict[Name, ParameterEntry], Field(min_length=1)]
     signals: Annotated[dict[Name, SignalEntry], Field(min_length=1)]
-    match: Literal["motion", "effort"] = "motion"
+    match: Literal["motion", "effort", "both"] = "motion"
     robot: Literal["go1"] | None = None  # the rooms of robots/ that have settings of their own
     settings: Settings = Settings()
 
