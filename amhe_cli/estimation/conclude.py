@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -73,8 +74,6 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
     system = problem.system
     watch.enter("covariance")
     finding, fit = _settled(problem, finding, watch)
-    if system.match == "effort":
-        _report_motion(problem, fit)
     validation, own = with_own_values(problem, validation, fit.z, fit.shape, fit.scale)
     for text in own:
         logger.log(NOTE, text)
@@ -125,12 +124,13 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
         logs=tuple(dict.fromkeys(part.log.source for part in problem.pool.parts)),
         runs=estimates(system.space, fit, each_log(problem, fit)),
         missing=missing,
+        determined=_determined(problem, fit) if system.match == "effort" else "",
         information=fit.posterior.hessian - fit.posterior.prior,
     )
 
 
-def _report_motion(problem: Problem, fit: FinalFit) -> None:
-    """Log how many numbers the motion determines, and how well it tells them apart.
+def _determined(problem: Problem, fit: FinalFit) -> str:
+    """How many numbers the motion determines, and how well it tells them apart, in words.
 
     Where efforts are linear in the unknowns, those numbers are the base parameters (Gautier and Khalil 1990).
     """
@@ -138,11 +138,10 @@ def _report_motion(problem: Problem, fit: FinalFit) -> None:
     better = known[known > 1.0]
     path = path_of(problem.system, problem.clips[0].log)
     band, rate = float(path.motion.band.max()), 1.0 / (path.every * problem.system.dt)
-    logger.log(
-        NOTE,
+    return (
         f"this motion determines {better.size} of {known.size} numbers better than their priors do "
         f"(condition number {np.sqrt(better.max(initial=1.0) / better.min(initial=1e300)):.0f}); it reaches "
-        f"{band:.2g} Hz, and efforts are compared {rate:.2g} times a second",
+        f"{band:.2g} Hz, and efforts are compared {rate:.2g} times a second"
     )
 
 
@@ -209,6 +208,10 @@ def _validated(
     if not held_out or not watch.allows("held-out clips from fitted first states", problem.linearisation):
         return held_out, against
     judged = judge(problem, validation, fit)
+    if problem.system.match == "effort":  # there are no first states, and each instant stands for itself
+        whole = {one.channel: one for one in reversed(judged.errors)}
+        errors = tuple(replace(whole[key], identified_fitted=math.nan) for key in sorted(whole))
+        return replace(held_out, noise_scale=judged.noise_scale, errors=errors), (*against, *judged.against)
     held_out = replace(
         held_out,
         fitted_cost=judged.cost,

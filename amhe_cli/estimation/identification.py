@@ -11,7 +11,7 @@ from typing import TypeVar
 
 from amhe_cli.core.belief import Belief
 from amhe_cli.core.each_log import named, searched
-from amhe_cli.core.errors import ConfigError, EstimationError, LogError, one_of
+from amhe_cli.core.errors import NOTE, ConfigError, EstimationError, LogError, one_of
 from amhe_cli.core.log import Log, Window, in_order
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.engine.open import open_engine
@@ -192,17 +192,24 @@ def _pose(
 
 
 def _report_lag(system: System, log: Log) -> None:
-    """Warn of velocities that lag, where measured torques drive the model: clips start at them."""
-    if system.match == "effort" or not any(source.key.endswith(".effort") for source in system.inputs):
+    """Say by how much velocities lag, which matters where measured torques drive the model from them."""
+    matched = system.match == "effort"
+    if not matched and not any(source.key.endswith(".effort") for source in system.inputs):
         return
     try:
         found = velocity_lag(system, log)
     except LogError:
         return  # too short for a motion
     if found is not None and found[0] > max(_LATE, SURPRISE * found[1]):
-        logger.warning(
-            f"{log.source}: measured velocities are {1e3 * found[0]:.1f} ms behind the positions, and clips "
-            f"start at them; give their signal slope: {{velocity: 0.05}}, which takes them from the positions"
+        then = (
+            "they are not used, since positions give the motion"
+            if matched
+            else "clips start at them; give their signal slope: {velocity: 0.05}, which takes them from the "
+            "positions"
+        )
+        logger.log(
+            NOTE if matched else logging.WARNING,
+            f"{log.source}: measured velocities are {1e3 * found[0]:.1f} ms behind the positions, and {then}",
         )
 
 

@@ -12,6 +12,9 @@ from amhe_cli.report import figures, numbers
 from amhe_cli.report.page import Key, Section, Statement
 from amhe_cli.report.tables import NUMBER, STRONG, Table
 
+#: In the names of channels of which each is the effort of one joint, along the measured motion.
+_EFFORT = ".effort of "
+
 
 def held_out_statement(held_out: HeldOut | None) -> Iterator[Statement]:
     """What held-out clips say of the values, in a sentence."""
@@ -23,7 +26,8 @@ def held_out_statement(held_out: HeldOut | None) -> Iterator[Statement]:
     clips = (
         f"{held_out.clips} clips that were not fitted" if held_out.clips > 1 else "a clip that was not fitted"
     )
-    costs = f"from {held_out.initial_cost:.3g} to {held_out.cost:.3g} from recorded first states"
+    costs = f"from {held_out.initial_cost:.3g} to {held_out.cost:.3g}"
+    costs += "" if _along(held_out) else " from recorded first states"
     falls = held_out.cost < held_out.initial_cost
     if math.isfinite(held_out.fitted_cost):
         costs += (
@@ -56,7 +60,7 @@ def held_out_sections(held_out: HeldOut) -> Iterator[Section]:
             table=horizon_table(held_out.horizons),
             figure=horizon_figure(held_out.horizons),
         )
-    if held_out.errors:
+    if held_out.errors and not _along(held_out):
         yield Section(
             "Error over time, on clips that were not fitted",
             text="Mean errors over spans of time from the clips' start: from the recorded first state, as "
@@ -135,6 +139,11 @@ def sized(value: float, unit: str) -> str:
     return numbers.length(value) if unit == "m" else numbers.quantity(f"{value:.3g}", unit)
 
 
+def _along(held_out: HeldOut) -> bool:
+    """Whether efforts along the measured motion were compared: there are no first states."""
+    return any(_EFFORT in one.channel for one in held_out.errors)
+
+
 def _errors(held_out: HeldOut) -> str:
     return "".join(
         f", the mean {name} from {before} to {after}" for name, before, after in error_rows(held_out)
@@ -150,16 +159,17 @@ def error_rows(held_out: HeldOut) -> list[tuple[str, str, str]]:
     ]
     whole = {one.channel: one for one in reversed(h.errors)}
     rows += [
-        (f"{one.channel} error", f"{one.initial:.3g} {one.unit}", f"{one.identified:.3g} {one.unit}")
+        (f"{one.channel.split(_EFFORT)[-1]} error", f"{one.initial:.3g} {one.unit}", f"{one.identified:.3g} {one.unit}")
         for key, one in sorted(whole.items())
-        if key.endswith(".position") and one.unit in ("rad", "rad or m")
+        if _EFFORT in key or (key.endswith(".position") and one.unit in ("rad", "rad or m"))
     ]
     return [row for row in rows if row[2] != numbers.MISSING]
 
 
 def _validation_table(held_out: HeldOut) -> Table:
     clips = f"{held_out.clips} clip{'s' * (held_out.clips != 1)}"
-    rows = [("cost, from recorded first states", f"{held_out.initial_cost:.4g}", f"{held_out.cost:.4g}")]
+    first = "" if _along(held_out) else ", from recorded first states"
+    rows = [(f"cost{first}", f"{held_out.initial_cost:.4g}", f"{held_out.cost:.4g}")]
     if math.isfinite(held_out.fitted_cost):
         fitted = (f"{held_out.initial_fitted_cost:.4g}", f"{held_out.fitted_cost:.4g}")
         rows.append(("cost, with first states fitted", *fitted))

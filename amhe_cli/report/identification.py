@@ -86,6 +86,7 @@ def identification_record(result: Identification, truth: Mapping[str, float]) ->
             "rollouts": {"count": result.rollouts, "diverged": result.diverged},
             "clips": asdict(result.clips),
             "noise_scale": result.noise_scale,
+            "determined": result.determined,
             "missing": missing_record(result.missing),
             "repairs": repairs_record(result.repairs),
             "iterations": len(result.iterations),
@@ -173,6 +174,8 @@ def print_identification(
         console.print(spread_line(spread))
     for c in known_together(result)[:MAX_COMBINATIONS]:
         console.print(f"known together: {c.text} to {numbers.percent(c.sd)}")
+    if result.determined:
+        console.print(result.determined)
     console.print(f"held-out: {held_out_line(result.held_out)}")
     if result.missing:
         print_missing(result.missing, console)

@@ -94,6 +94,7 @@ def statements(result: Identification) -> list[Statement]:
         *_stopped(result),
         *_unexplained(result),
         *held_out_statement(result.held_out),
+        *(Statement("good", f"{text[0].upper()}{text[1:]}.") for text in (result.determined,) if text),
         *_verdicts(result.parameters),
         *_combinations(result),
         *fixed_statement(result.belief.fixed, result.exact),
