@@ -17,6 +17,7 @@ import numpy as np
 
 from amhe_cli import __version__
 from amhe_cli.api.arguments import checked
+from amhe_cli.core.arrays import sealed
 from amhe_cli.core.belief import Belief, belief_of
 from amhe_cli.core.each_log import check_logs, fixing
 from amhe_cli.core.errors import ConfigError, LogError
@@ -262,7 +263,12 @@ def identify(
     if chosen.match == "both":
         how = {"fix": fix, "only": only, "seed": seed, "threads": threads, "progress": progress}
         effort = identify(
-            system.matching("effort"), given, held_out=held_out, prior=prior, belief_anyway=belief_anyway, **how
+            system.matching("effort"),
+            given,
+            held_out=held_out,
+            prior=prior,
+            belief_anyway=belief_anyway,
+            **how,
         )
         start, share = _half(effort), 0.5
     system = chosen
@@ -304,8 +310,8 @@ def _half(effort: Result) -> Belief:
     space, belief = effort.system.space, effort.belief
     away, before = space.z_of(belief.estimate), space.prior_precision
     after = np.linalg.inv(belief.covariance / np.outer(space.prior_sd, space.prior_sd))
-    half = before + 0.5 * positive(after - before)
-    return belief_of(effort.system, np.linalg.solve(half, 0.5 * after @ away), np.linalg.inv(half))
+    covariance = sealed(np.linalg.inv(before + 0.5 * positive(after - before)))
+    return belief_of(effort.system, sealed(covariance @ (0.5 * after @ away)), covariance)
 
 
 def _lines(effort: Result, found: Identification, start: Belief | None) -> Iterator[ParameterResult]:

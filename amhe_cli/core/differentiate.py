@@ -100,5 +100,7 @@ def differentiated(times: FloatArray, values: FloatArray, source: str, bridge: f
     finite = np.isfinite(values)
     for columns in alike(finite):
         present = finite[:, columns[0]]
-        slopes[np.ix_(present, columns)] = derivative(times[present], values[present][:, columns], bridge)
+        slopes[np.ix_(present, np.array(columns))] = derivative(
+            times[present], values[present][:, columns], bridge
+        )
     return slopes

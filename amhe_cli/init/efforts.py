@@ -30,7 +30,7 @@ from amhe_cli.system.model.elements import names_of
 _FRICTION, _ZERO = 0.05, 0.03
 #: Sd of the numbers of a link's inertia: what a CAD file is worth.
 _LINK = 0.2
-#: Bounds of those of the last link that moves, which has all beyond it, and a tool that the model lacks; sd 1.
+#: Bounds, and sd of 1, of the last link that moves: it has all beyond it, and a tool that the model lacks.
 _FAR = 4.0
 #: Seconds of a log that show the torques' ranges.
 _SECONDS = 60.0

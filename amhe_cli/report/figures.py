@@ -255,7 +255,7 @@ def _line_of(i: int) -> tuple[str, Literal["solid", "dashed", "dotted"]]:
 
 
 def correlation_figure(names: Sequence[str], correlations: FloatArray) -> Markup:
-    """Heat map of the posterior correlations; of more than `MANY` parameters it has colours, and no numbers."""
+    """Heat map of the posterior correlations; of more than `MANY` parameters without numbers."""
     size, few = len(names), len(names) <= MANY
     font, across, down = (9.0, 0.62, 0.5) if few else (6.0, 0.12, 0.12)
     label = 0.2 + font / 120.0 * max(len(name) for name in names)  # [inch]
@@ -271,7 +271,7 @@ def correlation_figure(names: Sequence[str], correlations: FloatArray) -> Markup
             value = correlations[row, column]
             axes.text(
                 column + 0.5, size - row - 0.5, f"{value:.2f}".replace("-0.00", "0.00"),
-                ha="center", va="center", color=_readable_on(_SIGNED(0.5 + 0.5 * value)), fontsize=8,
+                ha="center", va="center", color=_readable_on(_SIGNED(float(0.5 + 0.5 * value))), fontsize=8,
             )  # fmt: skip
         centres = np.arange(size) + 0.5
         # the page moves a name by its anchor, which is at its tick

@@ -159,7 +159,11 @@ def error_rows(held_out: HeldOut) -> list[tuple[str, str, str]]:
     ]
     whole = {one.channel: one for one in reversed(h.errors)}
     rows += [
-        (f"{one.channel.split(_EFFORT)[-1]} error", f"{one.initial:.3g} {one.unit}", f"{one.identified:.3g} {one.unit}")
+        (
+            f"{one.channel.split(_EFFORT)[-1]} error",
+            f"{one.initial:.3g} {one.unit}",
+            f"{one.identified:.3g} {one.unit}",
+        )
         for key, one in sorted(whole.items())
         if _EFFORT in key or (key.endswith(".position") and one.unit in ("rad", "rad or m"))
     ]

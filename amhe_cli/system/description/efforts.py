@@ -63,7 +63,9 @@ def unpowered(wiring: Wiring, model: mujoco.MjModel) -> list[int]:
 
     A servo would hold its joint at 0 against that force.
     """
-    given = {dof for one in wiring.inputs if not one.delayed for dof in _driven(one, wiring.input_spec, model)}
+    given = {
+        dof for one in wiring.inputs if not one.delayed for dof in _driven(one, wiring.input_spec, model)
+    }
     fed = {row for one in wiring.inputs for row in _actuators(one, wiring.input_spec, model)}
     return [
         row
@@ -87,7 +89,9 @@ def _driven(force: Input, input_spec: int, model: mujoco.MjModel) -> tuple[int, 
     rows, found = _actuators(force, input_spec, model), []
     for row in rows if not force.delayed or split_key(force.key)[1] == "effort" else ():
         size = model.actuator_gear[model.actuator_outadr[row], 0] * model.actuator_gainprm[row, 0]
-        plain = model.actuator_gaintype[row] == mujoco.mjtGain.mjGAIN_FIXED and not model.actuator_dyntype[row]
+        plain = (
+            model.actuator_gaintype[row] == mujoco.mjtGain.mjGAIN_FIXED and not model.actuator_dyntype[row]
+        )
         plain &= model.actuator_biastype[row] == mujoco.mjtBias.mjBIAS_NONE or not force.delayed
         if model.actuator_trntype[row] == _AT_JOINT and plain and size == 1.0:
             found.append(int(model.jnt_dofadr[model.actuator_trnid[row, 0]]))
