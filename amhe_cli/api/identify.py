@@ -249,16 +249,9 @@ def identify(
     for name in fix or ():
         if knowing := next((log for log in every if name in log.known), None):
             raise ConfigError(f"`fix`: {knowing.source} knows its own value of {name}; leave one of them out")
-    chosen, start = system.starting_from(prior, fix=fix, only=only, belief_anyway=belief_anyway)
-    fixed = {name: value for name, value in chosen.fixed.items() if name not in system.fixed}
-    if by_log := {name for log in every for name in log.known} & fixed.keys():
-        # the model itself can only have values that are the same for all logs
-        rest = {name: value for name, value in fixed.items() if name not in by_log}
-        chosen, start = system.starting_from(prior, fix=rest, belief_anyway=belief_anyway)
-    if fixed:
-        lacking = {name for name in by_log if any(name not in log.known for log in fitted)}
-        stated = {name: fixed[name] for name in lacking}
-        fitted, validation = (fixing(some, fixed, stated) for some in (fitted, validation))
+    chosen, start, fitted, validation = _starting(
+        system, fitted, validation, prior, fix=fix, only=only, belief_anyway=belief_anyway
+    )
     effort, share = None, 1.0
     if chosen.match == "both":
         how = {"fix": fix, "only": only, "seed": seed, "threads": threads, "progress": progress}
@@ -297,6 +290,30 @@ def identify(
     if found.interrupted:
         raise Interrupted(result)
     return result
+
+
+def _starting(
+    system: System,
+    fitted: tuple[Log, ...],
+    validation: tuple[Log, ...],
+    prior: Belief | str | Path | None,
+    *,
+    fix: Mapping[str, float] | None,
+    only: Sequence[str] | None,
+    belief_anyway: bool,
+) -> tuple[System, Belief | None, tuple[Log, ...], tuple[Log, ...]]:
+    """The system with what is fixed, where its search starts, and logs that fit to it."""
+    chosen, start = system.starting_from(prior, fix=fix, only=only, belief_anyway=belief_anyway)
+    fixed = {name: value for name, value in chosen.fixed.items() if name not in system.fixed}
+    if by_log := {name for log in (*fitted, *validation) for name in log.known} & fixed.keys():
+        # the model itself can only have values that are the same for all logs
+        rest = {name: value for name, value in fixed.items() if name not in by_log}
+        chosen, start = system.starting_from(prior, fix=rest, belief_anyway=belief_anyway)
+    if fixed:
+        lacking = {name for name in by_log if any(name not in log.known for log in fitted)}
+        stated = {name: fixed[name] for name in lacking}
+        fitted, validation = (fixing(some, fixed, stated) for some in (fitted, validation))
+    return chosen, start, fitted, validation
 
 
 def _half(effort: Result) -> Belief:
