@@ -400,7 +400,10 @@ def trial(number: int) -> dict[str, Any]:
     z = np.zeros(len(system.space))
     began = time.process_time()
     if identified:
-        found = amhe.identify(system, log, seed=seed, threads=1).found.missing or Missing()
+        try:
+            found = amhe.identify(system, log, seed=seed, threads=1).found.missing or Missing()
+        except amhe.AmheError:  # a wrong unit may make every rollout diverge, and that is said
+            found = explain(system, [whole(log)], z, np.random.default_rng(seed))
     else:
         found = explain(system, [whole(log)], z, np.random.default_rng(seed))
     return {
