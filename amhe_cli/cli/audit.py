@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from amhe_cli.cli import log_path, options, parsing
-from amhe_cli.cli.model_path import MENAGERIE, ModelPath, model_file
+from amhe_cli.cli.model_path import MENAGERIE, ModelPath, model_file, urdf_options
 from amhe_cli.cli.session import Session
 from amhe_cli.core.text import printable
 
@@ -138,13 +137,11 @@ def _logs(
     from amhe_cli.cli.progress import progress
     from amhe_cli.estimation.identification import IdentifyOptions
     from amhe_cli.init.folder import proposed, proposed_as
-    from amhe_cli.init.ros_packages import packages_in
     from amhe_cli.logs import read_log
     from amhe_cli.report.audit import write_audit
-    from amhe_cli.system.model.urdf import UrdfOptions, is_urdf
 
     folder, logs = out.reserve(), log_path.each_episode(logs)
-    urdf = UrdfOptions(dict(packages_in(os.environ))) if is_urdf(model) else None
+    urdf = urdf_options(model)
     if inputs.system:
         proposal = proposed_as(model, inputs.open(logs), urdf)
     else:

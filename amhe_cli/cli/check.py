@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import tempfile
 from collections.abc import Sequence
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from amhe_cli.cli import log_path, options, parsing
-from amhe_cli.cli.model_path import MENAGERIE, ModelPath
+from amhe_cli.cli.model_path import ModelPath, model_file, urdf_options
 from amhe_cli.cli.session import LOSSY, Session
 
 if TYPE_CHECKING:
@@ -77,20 +76,16 @@ def check(
     from amhe_cli.check.model import check_model, total_mass
     from amhe_cli.check.motion import motions, still
     from amhe_cli.estimation.design.expected import expected
-    from amhe_cli.init.menagerie import menagerie_model
-    from amhe_cli.init.ros_packages import packages_in
     from amhe_cli.system.model.files import compiled, read_spec
-    from amhe_cli.system.model.urdf import UrdfOptions
 
     session.hush_mujoco()
     if require and not logs:
         raise click.UsageError("--require is about what a log will tell: give a LOG")
-    path = menagerie_model(model.removeprefix(MENAGERIE)) if isinstance(model, str) else model
-    urdf = UrdfOptions(packages_in(os.environ), not no_meshes)
-    made = compiled(read_spec(path, urdf), path.name)
+    path = model_file(model)
+    made = compiled(read_spec(path, urdf_options(path, not no_meshes)), path.name)
     found, moved, hope = list(check_model(made)), (), None
     if logs:
-        system, read = _read(inputs, path, logs, urdf)
+        system, read = _read(inputs, path, logs, not no_meshes)
         moved = motions(system, read)
         found += still(moved)
         hope = expected(system, read)
@@ -111,18 +106,12 @@ def check(
     return LOSSY if missed else None
 
 
-def _read(inputs: Inputs, path: Path, logs: Sequence[Path], urdf: object) -> tuple[System, list[Log]]:
+def _read(inputs: Inputs, path: Path, logs: Sequence[Path], meshes: bool) -> tuple[System, list[Log]]:
     """The system that the logs are checked for, and the logs."""
-    from amhe_cli.init.folder import init_system
-    from amhe_cli.system.system import System
-
-    if inputs.system:
-        system = inputs.open(logs)
-        return system, inputs.read(system, logs)
     with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch) / "system"
-        init_system(path, logs, folder, msg_path=inputs.msg_path, urdf=urdf)  # pyright: ignore[reportArgumentType]
-        system = System.load(folder).reading(inputs.topics)
+        if not inputs.system:
+            inputs = inputs.of_model(path, logs, Path(scratch) / "system", meshes)
+        system = inputs.open(logs)
         return system, inputs.read(system, logs)
 
 

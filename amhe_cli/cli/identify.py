@@ -10,6 +10,7 @@ import click
 
 from amhe_cli.cli import log_path, options, parsing
 from amhe_cli.cli.estimation_options import believed, narrowing
+from amhe_cli.cli.model_path import ModelPath
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
@@ -32,6 +33,12 @@ def _a_cause(ctx: click.Context, param: click.Parameter, value: str | None) -> s
     "logs", nargs=-1, required=True, type=log_path.LOG, callback=log_path.episodes, metavar="LOG..."
 )
 @options.where
+@click.option(
+    "--model",
+    type=ModelPath(exists=True, dir_okay=False, readable=False, path_type=Path),
+    metavar="FILE",
+    help="Make the system of this MJCF or URDF file, or menagerie:NAME, as `amhe init` does, in OUT/system.",
+)
 @options.held_out("Log used only to validate")
 @believed("Start from an earlier belief.yaml instead of the system's own prior.")
 @narrowing
@@ -75,6 +82,7 @@ def identify(
     session: Session,
     logs: tuple[Path, ...],
     inputs: Inputs,
+    model: Path | str | None,
     held_out: tuple[Path, ...],
     belief: Path | None,
     belief_anyway: bool,
@@ -105,8 +113,12 @@ def identify(
     from amhe_cli.study.executors import executor_of
 
     session.hush_mujoco()
+    if model and inputs.system:
+        raise click.UsageError("give --system or --model: a model's system is made anew")
     folder = out.reserve()
     _check_apart(logs, held_out)
+    if model:
+        inputs = inputs.of_model(model, logs, folder / "system")
     opened = inputs.open(logs, overrides)
     known: Any = {"fix": fix, "only": only, "belief_anyway": belief_anyway}
     opened.starting_from(belief, **known)  # a mistake in an option is found before long logs are read
@@ -125,7 +137,7 @@ def identify(
     session.interrupted = result.found.interrupted
     record = session.record(**result.record(), out=str(folder))
     read = [*logs, *(one.path for path in logs for one in members(path))]
-    result.write(folder, record, session.command_line, read, held_out, out.force)
+    result.write(folder, record, session.command_line, read, held_out, out.force or bool(model))
     if session.json:
         session.print_json(record)
     else:

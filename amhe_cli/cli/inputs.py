@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -78,6 +78,27 @@ class Inputs:
                 raise
             about = f"{', '.join(others)}, not {system.name}"
             raise LogError(f"{error}. The log says that it is about {about}") from None
+
+    def of_model(self, model: Path | str, logs: Sequence[Path], folder: Path, meshes: bool = True) -> Inputs:
+        """The same for the system that `amhe init` makes of a model and logs.
+
+        Args:
+            model: Its file, or the name of one of the menagerie.
+            logs: Paths of the logs.
+            folder: System folder to write.
+            meshes: Whether a URDF is read with its meshes.
+
+        Raises:
+            ConfigError: The model cannot be read, or nothing in the logs is a part of it.
+            LogError: A log cannot be read.
+        """
+        from amhe_cli.cli.model_path import model_file, urdf_options
+        from amhe_cli.init.folder import init_system
+
+        path = model_file(model)
+        urdf = urdf_options(path, meshes)
+        init_system(path, logs, folder, msg_path=self.msg_path, force=True, urdf=urdf)
+        return replace(self, system=str(folder))
 
 
 def bundled_log() -> Path:

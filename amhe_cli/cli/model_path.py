@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.shell_completion import CompletionItem
 
 from amhe_cli.cli import log_path
+
+if TYPE_CHECKING:
+    from amhe_cli.system.model.urdf import UrdfOptions
 
 #: What the name of a model of the menagerie begins with.
 MENAGERIE = "menagerie:"
@@ -44,3 +48,11 @@ def model_file(model: Path | str) -> Path:
     from amhe_cli.init.menagerie import menagerie_model
 
     return menagerie_model(model.removeprefix(MENAGERIE)) if isinstance(model, str) else model
+
+
+def urdf_options(path: Path, meshes: bool = True) -> UrdfOptions | None:
+    """How a URDF is read, with the packages that the environment names; None: the file is none."""
+    from amhe_cli.init.ros_packages import packages_in
+    from amhe_cli.system.model.urdf import UrdfOptions, is_urdf
+
+    return UrdfOptions(packages_in(os.environ), meshes) if is_urdf(path) else None

@@ -77,6 +77,22 @@ def test_the_belief_says_where_it_came_from(done: Path, pendulum_log: Path) -> N
     assert {"amhe", "mujoco"} <= set(origin["versions"])
 
 
+def test_a_model_needs_no_system_folder(pendulum_log: Path, tmp_path: Path) -> None:
+    out, again = tmp_path / "out", tmp_path / "again"
+    quiet, model = ("-q", *QUICK), ("--model", str(ROOT / "models" / "pendulum" / "scene.xml"))
+    assert run(["identify", str(pendulum_log), *model, "--system", "pendulum", "-o", str(out)]) == 2
+    assert not out.exists()
+    assert run(["identify", str(pendulum_log), *model, "-o", str(out), *quiet]) == 0
+    assert names(out) == [*FILES, "system"] and names(out / "system") == ["scene.xml", "system.yaml"]
+    assert run(["view", str(out), "--save", str(tmp_path / "page.html"), "-q"]) == 0
+    assert run(["explain", str(out), "-q"]) == 0
+    assert run(["export", str(out / "belief.yaml"), "--to", "mjcf", "-o", str(tmp_path / "to"), "-q"]) == 0
+    system = ("--system", str(out / "system"))
+    assert run(["identify", str(pendulum_log), *system, "-o", str(again), *quiet]) == 0
+    first, second = (json.loads((one / "result.json").read_text()) for one in (out, again))
+    assert first["parameters"] == second["parameters"]
+
+
 @pytest.mark.medium
 def test_the_belief_is_a_prior_for_the_next_run(done: Path, pendulum_log: Path, capsys) -> None:
     arguments = ["identify", str(pendulum_log), "--belief", str(done / "belief.yaml"), "-q", "--json", *QUICK]
