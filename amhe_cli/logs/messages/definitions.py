@@ -1,4 +1,4 @@
-"""Message definitions: from the log, from a folder of .msg files, or the ones that come with rosbags.
+"""Message definitions: from the log, from a folder of .msg files, those that come with rosbags, or Unitree's.
 
 Only definitions are parsed. No code is generated from them, so a log cannot execute anything.
 """
@@ -164,7 +164,8 @@ def _bundled(encoding: str) -> dict[str, Any]:
     tf = "tf2_msgs/msg/TFMessage"
     if tf not in types:  # ROS 1's store has only the parts of it
         types |= _fields(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", tf))
-    return types
+    go2 = Path(__file__).with_name("unitree_go.msg").read_text(encoding="utf-8")
+    return types | _fields(get_types_from_msg(go2, "unitree_go/msg/LowState"))
 
 
 def _read_folder(folder: Path) -> dict[str, Any]:
