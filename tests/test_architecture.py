@@ -52,6 +52,7 @@ WALLS = {
     "cupy": ("engine",),
     "cyclonedds": ("logs",),
     "distributed": ("study/executors.py",),
+    "foxglove": ("logs",),
     "google": ("logs",),
     "h5py": ("logs",),
     "jinja2": ("report",),

@@ -138,8 +138,9 @@ def watch(
         )
         budget = mhe.budget or mhe.update_period
         worker = closed.enter_context(closing(InProcess(factory, budget, *_HANGS)))
+        sent = [transport.publish, *_to_foxglove(session, closed, opened.settings.live.foxglove, msg_path)]
         report = closed.enter_context(
-            WatchReport(folder, opened, found, origin, transport.publish, {str(a): a.holds for a in alarms})
+            WatchReport(folder, opened, found, origin, sent, {str(a): a.holds for a in alarms})
         )
         show = closed.enter_context(_shown(session, report))
         if metrics is not None:
@@ -191,6 +192,20 @@ def _shown(session: Session, report: WatchReport) -> Iterator[Callable[[str], No
                 live.update(report.drawn(), refresh=True)
 
         yield draw
+
+
+def _to_foxglove(
+    session: Session, closed: ExitStack, port: int | None, msg_path: Path | None
+) -> Iterator[Callable[[str, str, bytes], None]]:
+    """What shows messages to Foxglove, where it is asked for."""
+    if port is None:
+        return
+    from amhe_cli.logs.live.foxglove import FoxgloveServer
+    from amhe_cli.logs.messages.definitions import Definitions
+
+    server = closed.enter_context(FoxgloveServer(port, Definitions(msg_path)))
+    session.say("", f"Foxglove finds the estimates at {server.address}")
+    yield server.publish
 
 
 def _served(session: Session, port: int, text: Callable[[], str]) -> PageServer:

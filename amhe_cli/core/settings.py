@@ -301,6 +301,8 @@ class LiveSettings(SettingsGroup):
     """Address of the one network interface that DDS uses; None: DDS chooses."""
     connect: str = "tcp/localhost:7447"
     """Zenoh's router."""
+    foxglove: Annotated[int, Field(ge=0, le=65535)] | None = None
+    """Port at which Foxglove sees what `amhe watch` publishes, on this computer; 0: any that is free."""
     sim_time: bool = False
     """Stamp messages that have no stamp of their own by the topic /clock, as ROS does under use_sim_time."""
 

@@ -50,7 +50,7 @@ class WatchReport:
         system: The system.
         source: Where its samples come from.
         provenance: Versions, hashes, seed and command.
-        send: Called with topic, type and bytes of messages for others.
+        send: What is called with topic, type and bytes of each message for others.
         alarms: Alarms in words -> whether an estimate raises them.
     """
 
@@ -60,7 +60,7 @@ class WatchReport:
         system: System,
         source: LiveSource,
         provenance: Mapping[str, object],
-        send: Callable[[str, str, bytes], None],
+        send: Sequence[Callable[[str, str, bytes], None]],
         alarms: Mapping[str, Callable[[Estimate], bool]],
     ) -> None:
         self._folder, self._system, self._source = folder, system, source
@@ -204,7 +204,7 @@ class WatchReport:
         self._table.writerow(list(csv_row(estimate)))
         self._csv.flush()
         log, stamp, names = self._log, self._source.stamp_ns(estimate.time), estimate.belief.names
-        log.also = None
+        log.also = ()
         messages.write_estimate(log, stamp, estimate)
         log.also = self._send
         for topic in ("/amhe/params", *(["/amhe/jump"] if estimate.mark == "jump" else [])):

@@ -193,3 +193,46 @@ def test_a_type_of_another_version_or_an_unknown_one_is_not_read(kind: str, dige
 def test_the_hash_of_a_type_is_that_of_ros() -> None:
     _, digest = Definitions().described("std_msgs/msg/String")
     assert digest == "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+
+
+def test_foxglove_sees_what_is_published() -> None:
+    from websockets.sync.client import connect
+
+    from amhe_cli.logs.live.foxglove import FoxgloveServer
+
+    with FoxgloveServer(0, Definitions()) as server:
+        server.publish("/amhe/params", KIND, joint_state())  # before anyone listens
+        with connect(server.address, subprotocols=["foxglove.sdk.v1"]) as client:
+            heard: dict[str, Any] = {}
+            while "advertise" not in heard:
+                said = json.loads(client.recv(timeout=10))
+                heard[said["op"]] = said
+            (channel,) = heard["advertise"]["channels"]
+            assert (channel["topic"], channel["schemaName"], channel["encoding"]) == (
+                "/amhe/params",
+                KIND,
+                "cdr",
+            )
+            assert "string[] name" in channel["schema"]
+            subscription = {"id": 1, "channelId": channel["id"]}
+            client.send(json.dumps({"op": "subscribe", "subscriptions": [subscription]}))
+            end, payload = time.monotonic() + 10.0, b""
+            while not payload and time.monotonic() < end:
+                server.publish("/amhe/params", KIND, joint_state())
+                try:
+                    frame = client.recv(timeout=0.05)
+                except TimeoutError:
+                    continue
+                payload = frame[13:] if isinstance(frame, bytes) else b""
+    assert payload == joint_state()
+
+
+def test_a_port_that_is_taken_is_one_line() -> None:
+    from amhe_cli.logs.live.foxglove import FoxgloveServer
+
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(ConfigError, match=rf"^`live.foxglove`: port {port} cannot be served"):
+            FoxgloveServer(port, Definitions())

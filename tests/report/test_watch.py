@@ -41,7 +41,7 @@ def report(tmp_path: Path):
         System.load("pendulum"),
         source,
         {"command": "x"},
-        lambda topic, *_: sent.append(topic),
+        [lambda topic, *_: sent.append(topic)],
         alarms,
     )
     with made:

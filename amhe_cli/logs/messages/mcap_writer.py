@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -35,7 +35,7 @@ class McapWriter:
         self._copied: dict[Connection, int] = {}
         self._full = False
         #: Called with topic, type and bytes of each message that `write` appends, to send it on.
-        self.also: Callable[[str, str, bytes], None] | None = None
+        self.also: Sequence[Callable[[str, str, bytes], None]] = ()
 
     def __enter__(self) -> Self:
         self._file = ExitStack()
@@ -87,8 +87,8 @@ class McapWriter:
             raise ValueError(f"topic {topic!r} carries {known}, not {msgtype}")
         data = bytes(self._store.serialize_cdr(message, msgtype))
         self._add(channel, stamp_ns, data, stamp_ns)
-        if self.also:
-            self.also(topic, msgtype, data)
+        for send in self.also:
+            send(topic, msgtype, data)
 
     def _add(self, channel: int, log_ns: int, data: bytes, publish_ns: int) -> None:
         """Append a message; nothing once the file could not be written, for which one call raises OSError."""
