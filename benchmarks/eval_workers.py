@@ -20,7 +20,8 @@ from common import PROJECT, paired, show
 from amhe_cli.study.cells import Cell
 from amhe_cli.study.conduct import conduct
 from amhe_cli.study.executors import pool_of
-from amhe_cli.study.plan import EvalOptions, planned, run_cell, study_of
+from amhe_cli.study.plan import EvalOptions, planned, study_of
+from amhe_cli.study.run import run_cell
 from amhe_cli.study.store import start
 
 #: Throughput of eval over that of bare processes.

@@ -15,6 +15,8 @@ from amhe_cli.study.store import Store, Study, open_store, start
 from amhe_cli.system.model.files import compiled, read_spec
 from tests.study.cells_at_play import CODE, record
 
+FLOORS = {name: task.floor for name, task in TASKS.items()}
+
 
 def one_line(error: BaseException, path: Path) -> bool:
     return "\n" not in str(error) and str(path) in str(error)
@@ -92,16 +94,16 @@ def test_a_measure_that_is_no_number(study: Store) -> None:
     content["outcome"]["cost"] = "x"
     written(path, content)
     with pytest.raises(AmheError, match="t4 true, seed 0: its result has no cost"):
-        write_study(study, TASKS, MODES)
+        write_study(study, FLOORS, MODES)
 
 
 def test_an_unknown_machine_is_no_reason_to_fail(study: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     from amhe_cli.report.study import files
 
-    monkeypatch.setattr(files, "drawings", lambda *of: [])
+    monkeypatch.setattr(files, "drawn", lambda *of: [])
     path = study.folder / "study.json"
     written(path, json.loads(path.read_text()) | {"machine": {}, "code": {}})
-    files.write_study(open_store(study.folder), TASKS, MODES)
+    files.write_study(open_store(study.folder), FLOORS, MODES)
     assert "Python –" in (study.folder / "report.html").read_text()
 
 

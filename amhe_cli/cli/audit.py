@@ -176,11 +176,7 @@ def _print(
         session.print_json((record or session.record()) | audit_record(lines, found))
         return
     console, told = session.console(), [one for one in lines if one.verdict != "cannot tell"]
-    table = rich_table(audit_table(told), STYLES)
-    console.width = max(
-        console.width, console.measure(table, options=console.options.update(width=1000)).maximum
-    )
-    console.print(table)
+    console.print_table(rich_table(audit_table(told), STYLES))
     console.print()
     for line in audit_text(lines, found, record.get("out")):
         console.print(line, soft_wrap=True)

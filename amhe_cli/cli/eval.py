@@ -12,7 +12,6 @@ import click
 from amhe_cli.cli import completion, options, parsing
 from amhe_cli.cli.progress import Shown, progress
 from amhe_cli.cli.session import Session, stopping
-from amhe_cli.core.text import printable
 
 if TYPE_CHECKING:
     from amhe_cli.cli.settings import Overrides
@@ -102,7 +101,7 @@ def evaluate(
     """Run tasks in modes over seeds, and make the paper's tables and figures of what came out.
 
     Each run is a cell with a result file of its own in OUT/cells; what is done is kept, whatever stops the
-    rest. Writes summary.json, tables (plain, Markdown, LaTeX, CSV, JSON), figures (PNG, PDF) and report.html.
+    rest. Writes summary.json, tables (Markdown, CSV), figures (PNG, PDF) and report.html.
     Exit code 1 where a cell brought no result.
     """
     from amhe_cli.study.conduct import conduct
@@ -162,15 +161,20 @@ def _outcome(result: CellResult) -> str:
 def _tell(session: Session, store: Store, left: int) -> None:
     """Write and print what the cells say; fail where some brought nothing."""
     from amhe_cli.report.study.files import write_study
+    from amhe_cli.report.tables import rich_table
     from amhe_cli.robots.go1.run import MODES
     from amhe_cli.robots.go1.tasks import TASKS as ALL
 
-    report = write_study(store, ALL, MODES)
+    report = write_study(store, {name: task.floor for name, task in ALL.items()}, MODES)
     if session.json:
         counts: dict[str, Any] = {"cells": report.cells, "failed": report.failures, "missing": left}
         session.print_json(session.record(**counts, summary=report.summary, out=str(store.folder)))
     else:
-        print(printable(report.text, keep="\n"))
+        console = session.console()
+        for table in report.tables:
+            console.print(f"{table.title}\n")
+            console.print_table(rich_table(table.table))
+            console.print(f"{table.note}\n" if table.note else "", soft_wrap=True)
         print(f"report: {store.folder / 'report.html'}")
     session.failed = bool(report.failures) or (left > 0 and not session.interrupted)
     for title, reason in report.failures.items():

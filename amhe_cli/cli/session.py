@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import FrameType
 
-    from rich.console import Console
+    from amhe_cli.report.terminal import PlainConsole
 
 DONE, FAILED, USAGE, LOSSY, UNREADABLE, INTERRUPTED, TERMINATED = 0, 1, 2, 3, 4, 130, 143
 
@@ -134,7 +134,7 @@ class Session:
 
         hush_mujoco()
 
-    def console(self, stderr: bool = False) -> Console:
+    def console(self, stderr: bool = False) -> PlainConsole:
         """Rich console on stdout, or on stderr."""
         from amhe_cli.report.terminal import PlainConsole
 

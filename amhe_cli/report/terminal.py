@@ -21,6 +21,12 @@ class PlainConsole(Console):
     def __init__(self, **more: Any) -> None:
         super().__init__(markup=False, highlight=False, **more)
 
+    def print_table(self, table: RenderableType) -> None:
+        """Print a table at its own width: a narrow terminal wraps its lines, but no text is cut."""
+        width = self.measure(table, options=self.options.update(width=1000)).maximum
+        self.width = max(self.width, width)
+        self.print(table)
+
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
         """The pieces of what is printed."""
         for text, style, control in super().render(renderable, options):

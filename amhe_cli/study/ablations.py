@@ -36,8 +36,7 @@ def ablations(groups: Groups, defaults: Mapping[str, Any]) -> list[Ablation]:
         groups: Groups of the study.
         defaults: Each setting's default, by its path.
     """
-    base = dict(groups.base)
-    found: dict[tuple[str, str, str], list[tuple[Any, Group]]] = {}
+    base, found = dict(groups.base), dict[tuple[str, str, str], list[tuple[Any, Group]]]()
     for group in groups:
         other = dict(group.setting)
         changed = [path for path in base.keys() | other.keys() if base.get(path) != other.get(path)]
@@ -45,24 +44,14 @@ def ablations(groups: Groups, defaults: Mapping[str, Any]) -> list[Ablation]:
             (path,) = changed
             value = other.get(path, defaults.get(path))
             found.setdefault((path, group.task, group.mode), []).append((value, group))
-    return [_ablation(groups, key, tried, base, defaults) for key, tried in sorted(found.items())]
-
-
-def _ablation(
-    groups: Groups,
-    key: tuple[str, str, str],
-    tried: list[tuple[Any, Group]],
-    base: Mapping[str, Any],
-    defaults: Mapping[str, Any],
-) -> Ablation:
-    path, task, mode = key
-    at_base = groups.get(task, mode)
-    standard = base.get(path, defaults.get(path))
-    if at_base and at_base.n:
-        tried = [*tried, (standard, at_base)]
-    numeric = all(isinstance(value, (int, float)) for value, _ in tried)
-    if numeric:
-        tried = sorted(tried, key=lambda pair: pair[0])
-    values, members = zip(*tried, strict=True)
-    index = members.index(at_base) if at_base in members else None
-    return Ablation(path, task, mode, tuple(values), tuple(members), index)
+    made = []
+    for (path, task, mode), tried in sorted(found.items()):
+        at_base = groups.get(task, mode)
+        if at_base and at_base.n:
+            tried.append((base.get(path, defaults.get(path)), at_base))
+        if all(isinstance(value, (int, float)) for value, _ in tried):
+            tried.sort(key=lambda pair: pair[0])
+        values, members = zip(*tried, strict=True)
+        default = members.index(at_base) if at_base in members else None
+        made.append(Ablation(path, task, mode, values, members, default))
+    return made

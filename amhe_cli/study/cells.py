@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -61,45 +61,6 @@ def _frozen(value: Any) -> Any:
     return tuple(_frozen(item) for item in value) if isinstance(value, (list, tuple)) else value
 
 
-def assignments(setting: Setting) -> list[str]:
-    """['mhe.samples=8', 'mhe.window=0.25'], as settings are typed on the command line."""
-    return [f"{path}={json.dumps(value)}" for path, value in setting]
-
-
 def words(setting: Setting) -> str:
-    """The setting in words: 'mhe.samples=8, mhe.window=0.25'; '' for the defaults."""
-    return ", ".join(assignments(setting))
-
-
-def grid(
-    tasks: Iterable[str],
-    modes: Iterable[str],
-    seeds: int,
-    settings: Iterable[Setting],
-    beliefs: Mapping[str, str],
-    exists: Mapping[str, Iterable[str]],
-    duration: float,
-) -> list[Cell]:
-    """All cells of a study, seed by seed, so that its first part already covers each mode.
-
-    Args:
-        tasks, modes: Names of the tasks and modes.
-        seeds: Number of seeds, from 0 on.
-        settings: Settings, in each of which every run is made.
-        beliefs: Task -> content of a belief file, for the modes that start from the baseline's.
-        exists: Task -> modes that the task has.
-        duration: Longest duration of a run [s].
-    """
-    tasks, modes, settings = tuple(tasks), tuple(modes), tuple(dict.fromkeys(settings))
-    return [
-        Cell(task, mode, seed, setting, None if mode in _OWN_BELIEF else beliefs.get(task), duration)
-        for seed in range(seeds)
-        for setting in settings
-        for task in tasks
-        for mode in modes
-        if mode in exists[task]
-    ]
-
-
-#: Modes that have a belief of their own, not that of an identification.
-_OWN_BELIEF = ("true", "stale")
+    """The setting as it is typed: 'mhe.samples=8, mhe.window=0.25'; '' for the defaults."""
+    return ", ".join(f"{path}={json.dumps(value)}" for path, value in setting)

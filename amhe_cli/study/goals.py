@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,13 +9,16 @@ import numpy as np
 from amhe_cli.study import paper
 from amhe_cli.study.summary import Group, Groups, difference
 
-#: Tasks that every seed should finish, and the task with one leg, whose end is judged by distance.
-_WALKING, _ONE_LEG, _ONE_LEG_ERROR = ("t1", "t2", "t3", "t4"), "t5", 0.12
-#: The adaptive mode succeeds no less often than the true one.
-_AT_LEAST = {"success": 0.0, "on_time": 0.0}
-#: The adaptive mode may be worse by this much: in the measure's unit, or as a share.
-_ALLOWED = {"goal_error_m": 0.02, "speed_rmse": 0.005}
-_ALLOWED_SHARE = {"cost": 0.05, "time_s": 0.05}
+#: Task -> what its true mode should reach; other limits are the paper's speed errors.
+_WALKING = {"success": 1.0, "on_time": 1.0, "fell": 0.0}
+_TRUE = {**dict.fromkeys(("t1", "t2", "t3", "t4"), _WALKING), "t5": {"fell": 0.0, "goal_error_m": 0.12}}
+#: Measure -> by how much the adaptive mode may be worse than the true one: a difference, or a ratio.
+_ADAPTIVE = {
+    "success": ("difference", 0.0), "on_time": ("difference", 0.0), "goal_error_m": ("difference", 0.02),
+    "speed_rmse": ("difference", 0.005), "cost": ("ratio", 0.05), "time_s": ("ratio", 0.05),
+}  # fmt: skip
+#: Measures that should be large.
+_LARGE = ("success", "on_time")
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +31,6 @@ class Goal:
         value, low, high: The number with its 95 % interval.
         limit: The limit that the value should keep.
         n: Number of seeds that were judged.
-        at_least: Whether the limit is a lower one.
     """
 
     task: str
@@ -41,12 +42,16 @@ class Goal:
     high: float
     limit: float
     n: int
-    at_least: bool = False
+
+    @property
+    def at_least(self) -> bool:
+        """Whether the limit is a lower one."""
+        return self.measure in _LARGE
 
     @property
     def reached(self) -> bool:
         """Whether the value itself, not its interval, keeps the limit."""
-        return self.value >= self.limit - 1e-12 if self.at_least else self.value <= self.limit + 1e-12
+        return (self.value - self.limit) * (-1.0 if self.at_least else 1.0) <= 1e-12
 
 
 def goals(groups: Groups) -> list[Goal]:
@@ -54,37 +59,21 @@ def goals(groups: Groups) -> list[Goal]:
     found: list[Goal] = []
     for task in groups.tasks:
         true, adaptive = groups.get(task, "true"), groups.get(task, "adaptive")
-        if true and true.n:
-            found += _true(true)
-            if adaptive and adaptive.n:
-                found += _adaptive(adaptive, true)
+        if not true or not true.n:
+            continue
+        rmse = paper.TABLE_2.get((task, "speed_rmse"))
+        limits = _TRUE.get(task, {}) | ({"speed_rmse": rmse["true"]} if rmse else {})
+        for name, limit in limits.items():
+            s = true.spread(name)
+            found.append(Goal(task, "true", name, "value", s.mean, s.low, s.high, limit, s.n))
+        found += _against(adaptive, true) if adaptive else []
     return [goal for goal in found if np.isfinite(goal.value)]
 
 
-def _true(group: Group) -> Iterator[Goal]:
-    if group.task in _WALKING:
-        yield _value(group, "success", 1.0, at_least=True)
-        yield _value(group, "on_time", 1.0, at_least=True)
-    if group.task in (*_WALKING, _ONE_LEG):
-        yield _value(group, "fell", 0.0)
-    if group.task == _ONE_LEG:
-        yield _value(group, "goal_error_m", _ONE_LEG_ERROR)
-    if rmse := paper.TABLE_2.get((group.task, "speed_rmse")):
-        yield _value(group, "speed_rmse", rmse["true"])
-
-
-def _adaptive(group: Group, true: Group) -> Iterator[Goal]:
-    for name, limit in (_AT_LEAST | _ALLOWED | _ALLOWED_SHARE).items():
-        found = difference(group, true, name)
-        if name in _ALLOWED_SHARE:
-            numbers = ("ratio", found.ratio, found.ratio_low, found.ratio_high)
-        else:
-            numbers = ("difference", found.mean, found.low, found.high)
-        if found.n:
-            yield Goal(group.task, group.mode, name, *numbers, limit, found.n, name in _AT_LEAST)
-
-
-def _value(group: Group, name: str, limit: float, at_least: bool = False) -> Goal:
-    spread = group.spread(name)
-    numbers = (spread.mean, spread.low, spread.high)
-    return Goal(group.task, group.mode, name, "value", *numbers, limit, spread.n, at_least)
+def _against(group: Group, true: Group) -> list[Goal]:
+    found = []
+    for name, (kind, limit) in _ADAPTIVE.items():
+        d = difference(group, true, name)
+        numbers = (d.ratio, d.ratio_low, d.ratio_high) if kind == "ratio" else (d.mean, d.low, d.high)
+        found.append(Goal(group.task, group.mode, name, kind, *numbers, limit, d.n))
+    return found

@@ -11,13 +11,15 @@ from amhe_cli.core.belief import read_belief
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.robots.go1.run import MODES
 from amhe_cli.robots.go1.tasks import LONGEST, find_task
-from amhe_cli.study.cells import Cell, grid
+from amhe_cli.study.cells import Cell
 from amhe_cli.study.code import code
 from amhe_cli.study.settings import ablated, defaults_at, setting_from, system_with
 from amhe_cli.study.store import Study
 
 #: The mode of an ablation for which no mode is named: the only one in which every setting acts.
 _ABLATED = "adaptive"
+#: Modes that have a belief of their own, not that of an identification.
+_OWN_BELIEF = ("true", "stale")
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +46,7 @@ class EvalOptions:
 
 
 def planned(options: EvalOptions, study: Study) -> list[Cell]:
-    """All cells of a study.
+    """All cells of a study, seed by seed, so that its first part already covers each mode.
 
     Raises:
         ConfigError: A task, mode, setting or value does not exist, a belief file does not fit, or the request
@@ -54,10 +56,17 @@ def planned(options: EvalOptions, study: Study) -> list[Cell]:
     for mode in modes:
         if mode not in MODES:
             raise ConfigError(one_of("mode", mode, MODES))
-    exists = {name: [m for m in MODES if m != "stale" or find_task(name).stale] for name in options.tasks}
+    tasks = {name: find_task(name) for name in options.tasks}
     settings = [study.setting, *ablated(options.ablations, study.setting, study.defaults)]
     beliefs = _belief_texts(options.beliefs)
-    cells = grid(options.tasks, modes, options.seeds, settings, beliefs, exists, options.duration)
+    cells = [
+        Cell(task, mode, seed, setting, None if mode in _OWN_BELIEF else beliefs.get(task), options.duration)
+        for seed in range(options.seeds)
+        for setting in dict.fromkeys(settings)
+        for task in tasks
+        for mode in modes
+        if mode != "stale" or tasks[task].stale
+    ]
     if not cells:
         raise ConfigError(
             f"nothing to run: there is no mode {' or '.join(modes)} of {', '.join(options.tasks)}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -33,6 +33,11 @@ class Spread:
     median: float
     low: float
     high: float
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """All but n, by name."""
+        return {name: value for name, value in asdict(self).items() if name != "n"}
 
 
 def spread(values: FloatArray, rng: np.random.Generator) -> Spread:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -65,10 +65,19 @@ class Groups:
     ) -> None:
         self.base, self._modes = base, modes
         found: dict[tuple[str, str, Setting], list[CellResult]] = {}
-        for result in results:
+        for result in sorted(results, key=lambda one: one.cell.seed):
             cell = result.cell
             found.setdefault((cell.task, cell.mode, cell.setting), []).append(result)
-        self._groups = {key: _group(key, found[key]) for key in sorted(found, key=_order(tasks, modes, base))}
+
+        def order(key: tuple[str, str, Setting]) -> tuple[Any, ...]:
+            task, mode, setting = key
+            listed = tuple((path, str(type(value)), value) for path, value in setting)
+            return setting != base, listed, _rank(tasks, task), task, _rank(modes, mode), mode
+
+        self._groups = {}
+        for key in sorted(found, key=order):
+            done = tuple(result for result in found[key] if result.reason is None)
+            self._groups[key] = Group(*key, done, len(found[key]) - len(done))
 
     def __iter__(self) -> Iterator[Group]:
         """All groups in order."""
@@ -114,30 +123,10 @@ def summary(groups: Iterable[Group]) -> list[dict[str, Any]]:
             "setting": dict(group.setting),
             "n": group.n,
             "failed": group.failed,
-            "measures": {name: _numbers(group.spread(name)) for name in (*RATES, *MEASURES)},
+            "measures": {name: group.spread(name).numbers for name in (*RATES, *MEASURES)},
         }
         for group in groups
     ]
-
-
-def _numbers(spread: Spread) -> dict[str, float]:
-    return {name: value for name, value in asdict(spread).items() if name != "n"}
-
-
-def _group(key: tuple[str, str, Setting], results: Sequence[CellResult]) -> Group:
-    done = sorted((r for r in results if r.reason is None), key=lambda result: result.cell.seed)
-    return Group(*key, tuple(done), len(results) - len(done))
-
-
-def _order(tasks: Sequence[str], modes: Sequence[str], base: Setting):
-    def key(group: tuple[str, str, Setting]) -> tuple[Any, ...]:
-        task, mode, setting = group
-        return (
-            setting != base, tuple((p, str(type(v)), v) for p, v in setting),
-            _rank(tasks, task), task, _rank(modes, mode), mode,
-        )  # fmt: skip
-
-    return key
 
 
 def _rank(names: Sequence[str], name: str) -> int:

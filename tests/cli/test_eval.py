@@ -41,7 +41,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests of other things: figures take seconds."""
-    monkeypatch.setattr("amhe_cli.report.study.files.drawings", lambda *of: [])
+    monkeypatch.setattr("amhe_cli.report.study.files.drawn", lambda *of: [])
 
 
 def cells_of(folder: Path) -> dict[str, object]:
@@ -67,19 +67,9 @@ def test_a_study_leaves_a_file_a_cell_and_all_that_is_made_of_them(done: Path) -
     assert [(row["task"], row["mode"], row["n"]) for row in rows] == [
         ("t1", "true", 1), ("t1", "baseline", 1), ("t5", "true", 1), ("t5", "baseline", 1)
     ]  # fmt: skip
-    assert {p.suffix for p in (done / "tables").glob("measures.*")} == {
-        ".txt",
-        ".md",
-        ".tex",
-        ".csv",
-        ".json",
-    }
-    assert {p.name for p in (done / "figures").iterdir()} >= {
-        "paths.png",
-        "paths.pdf",
-        "speed.png",
-        "final.pdf",
-    }
+    assert {p.suffix for p in (done / "tables").glob("measures.*")} == {".md", ".csv"}
+    assert {p.stem for p in (done / "figures").glob("*.pdf")} >= {"paths", "speed", "final"}
+    assert len(list((done / "figures").glob("*.png"))) == len(list((done / "figures").glob("*.pdf")))
 
 
 def test_the_page_needs_no_network(done: Path) -> None:
@@ -112,7 +102,7 @@ def test_the_report_is_made_again_of_the_cells_alone(done: Path, capsys) -> None
     printed = json.loads(capsys.readouterr().out)
     assert (printed["command"], printed["cells"], printed["failed"]) == ("eval", 4, {})
     assert printed["summary"] == json.loads((done / "summary.json").read_text())
-    for path in ("report.html", "summary.json", "tables/measures.csv", "tables/table2.tex"):
+    for path in ("report.html", "summary.json", "tables/measures.csv", "tables/table2.md"):
         assert (Path("out") / path).read_bytes() == (done / path).read_bytes()
 
 
@@ -251,6 +241,17 @@ def test_the_users_environment_and_options_are_the_operating_point() -> None:
     study = study_of(options, "amhe eval", "", {})
     assert study.setting == setting_of({"control.samples": 16, "control.loops": 2})
     assert {cell.setting for cell in planned(options, study)} == {study.setting}
+
+
+def test_a_study_goes_seed_by_seed_and_leaves_out_what_does_not_exist() -> None:
+    beliefs = {"t4": ROOT / "docs" / "results" / "beliefs" / "t4.yaml"}
+    options = EvalOptions(["t1", "t4"], ["baseline", "stale"], 2, beliefs=beliefs)
+    cells = planned(options, study_of(options, "", "", {}))
+    assert [(c.task, c.mode, c.seed) for c in cells] == [
+        ("t1", "baseline", 0), ("t4", "baseline", 0), ("t4", "stale", 0),
+        ("t1", "baseline", 1), ("t4", "baseline", 1), ("t4", "stale", 1),
+    ]  # fmt: skip
+    assert {(c.task, c.mode) for c in cells if c.belief} == {("t4", "baseline")}, "stale has its own"
 
 
 def test_an_ablated_value_that_is_the_operating_point_is_the_same_cell() -> None:

@@ -1,7 +1,5 @@
-from amhe_cli.study.cells import Cell, cell_of, grid, setting_of, words
+from amhe_cli.study.cells import Cell, cell_of, setting_of, words
 from tests.study.cells_at_play import CODE
-
-EXISTS = {"t1": ("true", "baseline"), "t4": ("true", "baseline", "stale")}
 
 
 def test_all_that_decides_a_cell_is_in_its_name() -> None:
@@ -29,16 +27,3 @@ def test_a_cell_survives_json() -> None:
     assert again.file_name(CODE) == cell.file_name(CODE)
     assert hash(again) == hash(cell)
     assert words(cell.setting) == 'control.refine="never", control.sigma_range=[0.2, 1.0]'
-
-
-def test_a_grid_goes_seed_by_seed_and_leaves_out_what_does_not_exist() -> None:
-    cells = grid(["t1", "t4"], ["true", "stale"], 2, [(), ()], {}, EXISTS, 40.0)
-    assert [(c.task, c.mode, c.seed) for c in cells] == [
-        ("t1", "true", 0), ("t4", "true", 0), ("t4", "stale", 0),
-        ("t1", "true", 1), ("t4", "true", 1), ("t4", "stale", 1),
-    ]  # fmt: skip
-
-
-def test_an_identified_belief_is_the_baselines_alone() -> None:
-    cells = grid(["t1", "t4"], ["true", "baseline", "stale"], 1, [()], {"t4": "found"}, EXISTS, 40.0)
-    assert {(c.task, c.mode) for c in cells if c.belief} == {("t4", "baseline")}

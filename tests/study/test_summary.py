@@ -52,8 +52,8 @@ def test_a_goal_is_judged_by_the_value_and_not_by_the_luck_of_its_interval() -> 
     late = Goal("t4", "adaptive", "cost", "ratio", 0.06, 0.01, 0.11, limit=0.05, n=15)
     assert not late.reached
     assert replace(late, value=0.05).reached
-    assert replace(late, at_least=True).reached
-    assert not replace(late, value=0.04, at_least=True).reached
+    assert replace(late, measure="success").reached
+    assert not replace(late, value=0.04, measure="success").reached
 
 
 def test_ablations_change_one_thing_and_hold_the_operating_point() -> None:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from amhe_cli.core.files import plain
 from amhe_cli.report.folder import write_page
-from amhe_cli.report.study.figures import StudyTask, drawings, drawn
-from amhe_cli.report.study.formats import FORMATS, text
+from amhe_cli.report.study.figures import Floors, drawn
+from amhe_cli.report.study.formats import StudyTable, comma_separated, markdown
 from amhe_cli.report.study.page import study_page
 from amhe_cli.report.study.tables import tables
 from amhe_cli.study.ablations import ablations
@@ -28,39 +27,35 @@ class Report:
         cells: Number of cells with a result.
         failures: Title of a cell -> why it has no result.
         summary: Content of summary.json.
-        text: The tables, for a terminal.
+        tables: The tables, in order.
     """
 
     cells: int
     failures: Mapping[str, str]
     summary: Sequence[Mapping[str, Any]]
-    text: str
+    tables: Sequence[StudyTable]
 
 
-def write_study(store: Store, tasks: Mapping[str, StudyTask], modes: Sequence[str]) -> Report:
+def write_study(store: Store, floors: Floors, modes: Sequence[str]) -> Report:
     """Write summary.json, tables/, figures/ and report.html of all cells of a study.
 
     Args:
         store: Store of the study.
-        tasks: All tasks, in order.
+        floors: Path and goal of each task, in order.
         modes: All modes, in order.
     """
     results = store.results()
-    groups = Groups(results, store.study.setting, tuple(tasks), modes)
+    groups = Groups(results, store.study.setting, tuple(floors), modes)
     tried = ablations(groups, store.study.defaults)
     judged = [] if store.study.cut_short else goals(groups)  # goals are for whole runs
     made = tables(groups, tried, judged)
     content = plain(summary(groups))
     failures = {r.cell.title: r.reason for r in results if r.reason is not None}
-    _write(store.folder / "summary.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
+    write_file(store.folder / "summary.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
+    (store.folder / "tables").mkdir(exist_ok=True)
     for table in made:
-        for suffix, form in FORMATS.items():
-            _write(store.folder / "tables" / f"{table.name}.{suffix}", form(table))
-    pictures = drawn(drawings(groups, tried, tasks), store.folder / "figures")
+        write_file(store.folder / "tables" / f"{table.name}.md", markdown(table))
+        write_file(store.folder / "tables" / f"{table.name}.csv", comma_separated(table))
+    pictures = drawn(groups, tried, floors, store.folder / "figures")
     write_page(store.folder, lambda: study_page(store.study, groups, failures, made, pictures))
-    return Report(len(results) - len(failures), failures, content, "\n".join(map(text, made)))
-
-
-def _write(path: Path, content: str) -> None:
-    path.parent.mkdir(exist_ok=True)
-    write_file(path, content)
+    return Report(len(results) - len(failures), failures, content, made)

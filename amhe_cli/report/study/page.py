@@ -8,10 +8,14 @@ from collections.abc import Mapping, Sequence
 from amhe_cli.report.numbers import MISSING
 from amhe_cli.report.page import Origin, Page, Section, Statement
 from amhe_cli.report.study.formats import StudyTable
-from amhe_cli.report.tables import NUMBER, Table
 from amhe_cli.study.cells import words
 from amhe_cli.study.store import Study
 from amhe_cli.study.summary import Groups
+
+_ORIGIN = (
+    "Every number is computed from the result files in cells/, one file for each run. A file's name contains "
+    "a hash of task, mode, setting, seed, belief and code. `amhe eval --report` computes everything again."
+)
 
 
 def study_page(
@@ -30,80 +34,46 @@ def study_page(
         tables: The tables, in order.
         figures: The figures, in order.
     """
-    cells, unknown = sum(group.n for group in groups), lambda: MISSING
-    code, machine = defaultdict(unknown, study.code), defaultdict(unknown, study.machine)
-    lacking = [
-        Section(
-            "Cells without a result",
-            items=[f"{title}: {reason}" for title, reason in failures.items()],
-            name="failures",
-        )
-    ]
+    cells = f"{sum(group.n for group in groups)} cells"
+    code, machine = (defaultdict(lambda: MISSING, told) for told in (study.code, study.machine))
+    sections = [Section(t.title, table=t.table, note=t.note, name=t.name) for t in tables] + list(figures)
+    if failures:
+        items = [f"{title}: {reason}" for title, reason in failures.items()]
+        sections.append(Section("Cells without a result", items=items, name="failures"))
+    goals = next((table.rows for table in tables if table.name == "goals"), ())
+    reached = sum(row[-1] != "NO" for row in goals)
+    seeds = sorted({group.n for group in groups.at_base()})
+    number = " to ".join(str(n) for n in dict.fromkeys((*seeds[:1], *seeds[-1:])))
     return Page(
         command="eval",
         title="Tasks by beliefs by seeds",
         facts=(
-            f"{cells} cells",
+            cells,
             f"begun {study.made.replace('T', ' ').replace('+00:00', ' UTC')}",
             f"amhe {code['amhe']} (sources {code['sources']}), MuJoCo {code['mujoco']}, "
             f"numpy {code['numpy']}, Python {machine['python']}",
             f"{machine['processor']}, {machine['cores']} cores",
         ),
-        headline=_headline(groups, tables),
-        statements=_statements(study, failures, tables),
-        sections=[*map(_section, tables), *figures, *(lacking if failures else [])],
+        headline=f"{reached} of {len(goals)} goals reached, with {number} seeds." if goals else f"{cells}.",
+        statements=_statements(study, failures, goals),
+        sections=sections,
         warnings=(),
-        origin=Origin(
-            study.commands,
-            note="Every number is computed from the result files in cells/, one file for each run. A "
-            "file's name contains a hash of task, mode, setting, seed, belief and code. `amhe eval --report` "
-            "computes everything again.",
-        ),
+        origin=Origin(study.commands, note=_ORIGIN),
     ).html()
 
 
-def _goals(tables: Sequence[StudyTable]) -> list[dict[str, str]]:
-    """Rows of the table of goals."""
-    return [
-        dict(zip(table.head, row, strict=True))
-        for table in tables
-        if table.name == "goals"
-        for row in table.rows
-    ]
-
-
-def _headline(groups: Groups, tables: Sequence[StudyTable]) -> str:
-    goals = _goals(tables)
-    if not goals:
-        return f"{sum(group.n for group in groups)} cells."
-    reached = sum(goal["reached"] != "NO" for goal in goals)
-    seeds = sorted({group.n for group in groups.at_base()})
-    number = f"{seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else f"{seeds[0]}"
-    return f"{reached} of {len(goals)} goals reached, with {number} seeds."
-
-
-def _statements(study: Study, failures: Mapping[str, str], tables: Sequence[StudyTable]) -> list[Statement]:
+def _statements(study: Study, failures: Mapping[str, str], goals: Sequence[Sequence[str]]) -> list[Statement]:
     stated = [
-        Statement(
-            "bad",
-            f"{goal['']}: {goal['measure']} is {goal['value [95 % interval]']}"
-            f"{'' if goal['unit'] == '-' else ' ' + goal['unit']}; the goal is {goal['goal']}.",
-        )
-        for goal in _goals(tables)
-        if goal["reached"] == "NO"
+        Statement("bad", f"{of}: {what} is {f'{value} {unit}'.removesuffix(' -')}; the goal is {goal}.")
+        for of, _, what, unit, value, goal, reached in goals
+        if reached == "NO"
     ]
     if failures:
-        count = len(failures)
-        text = f"{count} cells have no result." if count > 1 else "1 cell has no result."
-        stated.append(Statement("bad", text))
+        has = "1 cell has" if len(failures) == 1 else f"{len(failures)} cells have"
+        stated.append(Statement("bad", f"{has} no result."))
     if study.setting:
         stated.append(Statement("mixed", f"The operating point is not the default: {words(study.setting)}."))
     if study.cut_short:
         text = f"Runs were stopped after {study.duration:g} s, before the tasks' own limit."
         stated.append(Statement("mixed", text))
     return stated
-
-
-def _section(table: StudyTable) -> Section:
-    looks = ("", *(NUMBER for _ in table.head[1:]))
-    return Section(table.title, table=Table(table.head, looks, table.rows), note=table.note, name=table.name)

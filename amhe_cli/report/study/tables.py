@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -27,131 +28,109 @@ SIGNS: dict[str, tuple[str, str, int]] = {
     "time_s": ("t_exec", "s", 1),
     "path_rmse_m": ("path rms", "m", 3),
 }
+#: Measures whose differences are shares of the true mode's.
+_RELATIVE = ("cost", "time_s")
+#: Measures of the table of ablations.
+_ABLATED = ("success", "goal_error_m", "speed_rmse", "cost", "time_s")
+_PAPERS = tuple(f"paper: {mode}" for mode in paper.MODES.values())
 
 
-def tables(groups: Groups, found: list[Ablation], judged: list[Goal]) -> list[StudyTable]:
+def tables(groups: Groups, found: Sequence[Ablation], judged: Sequence[Goal]) -> list[StudyTable]:
     """All tables that have a row."""
     made = (
-        table_1(groups),
-        table_2(groups),
-        measures(groups),
-        differences(groups),
-        goal_table(judged),
-        estimate_table(groups),
-        ablation_table(found),
-    )
+        _table_1(groups), _table_2(groups), _measures(groups), _differences(groups), _goals(judged),
+        _estimates(groups), _ablations(found),
+    )  # fmt: skip
     return [table for table in made if table.rows]
 
 
-def label(name: str) -> str:
-    """Label of a measure with its unit: 'e_g [m]'."""
-    sign, unit, _ = SIGNS[name]
-    return sign if unit == "-" else f"{sign} [{unit}]"
-
-
-def mean_sd(name: str, spread: Spread) -> str:
-    """Mean and sd: '0.028 ± 0.005'; of a rate, percent."""
-    return _with_sd(name, spread.mean, spread.sd)
-
-
-def table_1(groups: Groups) -> StudyTable:
+def _table_1(groups: Groups) -> StudyTable:
     """Like the paper's table I: T4."""
-    task = paper.TABLE_1_TASK
-    ours = groups.of(task)
+    ours = groups.of(paper.TABLE_1_TASK)
     rows, records = [], []
     for name, theirs in paper.TABLE_1.items() if ours else ():
-        published = [_with_sd(name, *theirs[mode]) for mode in paper.MODES]
-        rows.append((label(name), *(mean_sd(name, group.spread(name)) for group in ours), *published))
-        records += [_record(g, name) | _theirs(theirs.get(g.mode)) for g in ours]
-    head = ("", *(_mode(group) for group in ours), *(f"paper: {mode}" for mode in paper.MODES.values()))
-    note = "Our cost J is not the paper's: compare costs among our modes, or among the paper's."
+        published = [_mean_sd(name, *theirs[mode]) for mode in paper.MODES]
+        rows.append((_label(name), *(_spread(group, name) for group in ours), *published))
+        for group in ours:
+            mean, sd = theirs.get(group.mode, (None, None))
+            records.append(_record(group, name) | {"paper_mean": mean, "paper_sd": sd})
     return StudyTable(
-        "table1",
-        f"{task.upper()}: mean ± sd over seeds, beside the paper's table I",
-        head,
-        rows,
-        records,
-        note,
-    )
+        "table1", f"{paper.TABLE_1_TASK.upper()}: mean ± sd over seeds, beside the paper's table I",
+        ("", *(f"{group.mode} (n = {group.n})" for group in ours), *_PAPERS), rows, records,
+        "Our cost J is not the paper's: compare costs among our modes, or among the paper's.",
+    )  # fmt: skip
 
 
-def table_2(groups: Groups) -> StudyTable:
+def _table_2(groups: Groups) -> StudyTable:
     """Like the paper's table II: all tasks."""
     modes = groups.modes_of(groups.tasks)
     rows, records = [], []
     for (task, name), theirs in paper.TABLE_2.items():
-        ours = {mode: group for mode in modes if (group := groups.get(task, mode)) and group.n}
+        ours = {group.mode: group for group in groups.of(task)}
         if ours:
+            mine = [_spread(ours[mode], name) if mode in ours else MISSING for mode in modes]
             published = [_value(name, theirs[mode]) for mode in paper.MODES]
-            mine = [mean_sd(name, ours[m].spread(name)) if m in ours else MISSING for m in modes]
-            rows.append((f"{task.upper()} {label(name)}", *mine, *published))
-            records += [_record(g, name) | {"paper_mean": theirs.get(m)} for m, g in ours.items()]
-    head = ("", *modes, *(f"paper: {mode}" for mode in paper.MODES.values()))
-    return StudyTable(
-        "table2", "Speed error and final error, beside the paper's table II", head, rows, records
-    )
+            rows.append((f"{task.upper()} {_label(name)}", *mine, *published))
+            records += [_record(g, name) | {"paper_mean": theirs.get(mode)} for mode, g in ours.items()]
+    title = "Speed error and final error, beside the paper's table II"
+    return StudyTable("table2", title, ("", *modes, *_PAPERS), rows, records)
 
 
-def measures(groups: Groups) -> StudyTable:
+def _measures(groups: Groups) -> StudyTable:
     """All measures, at the operating point."""
-    rows, records = [], []
-    for group in groups.at_base():
-        shown = [_rate(group.spread(name)) for name in ("success", "on_time")]
-        shown.append(f"{int(group.values('fell').sum())}")
-        for name in MEASURES:
-            spread = group.spread(name)
-            shown.append(f"{mean_sd(name, spread)} ({_value(name, spread.median)})")
-        rows.append((f"{group.task} {group.mode}", str(group.n), *shown))
-        records += [_record(group, name) for name in (*RATES, *MEASURES)]
-    head = ("", "n", "S_R [%]", "S_T [%]", "falls", *(label(name) for name in MEASURES))
+    rows = [
+        (
+            f"{group.task} {group.mode}", str(group.n),
+            *(_interval(s.mean, s.low, s.high, 0, True, "") for s in map(group.spread, RATES[:2])),
+            f"{int(group.values('fell').sum())}",
+            *(f"{_spread(group, name)} ({_value(name, group.spread(name).median)})" for name in MEASURES),
+        )
+        for group in groups.at_base()
+    ]  # fmt: skip
+    records = [_record(group, name) for group in groups.at_base() for name in (*RATES, *MEASURES)]
+    head = ("", "n", "S_R [%]", "S_T [%]", "falls", *map(_label, MEASURES))
     note = (
         "S_R, S_T: with Wilson's 95 % interval. Others: mean ± sd (median). "
-        "Bootstrap intervals of the means are in the CSV and JSON."
+        "Bootstrap intervals of the means are in the CSV."
     )
     return StudyTable("measures", "All measures", head, rows, records, note)
 
 
-def differences(groups: Groups) -> StudyTable:
+def _differences(groups: Groups) -> StudyTable:
     """Every mode against the true belief, on the same seeds."""
     rows, records = [], []
     for group in groups.at_base():
         true = groups.get(group.task, "true")
-        if group.mode == "true" or not true or not true.n:
+        if group.mode == "true" or not true or not difference(group, true, "cost").n:
             continue
         found = {name: difference(group, true, name) for name in MEASURES}
-        n = found["cost"].n
-        if not n:
-            continue
-        shown = []
-        for name, d in found.items():
-            relative = name in ("cost", "time_s")
-            numbers = (d.ratio, d.ratio_low, d.ratio_high) if relative else (d.mean, d.low, d.high)
-            shown.append(_interval(*numbers, digits=1 if relative else SIGNS[name][2], percent=relative))
-            records.append(
-                {"task": group.task, "mode": group.mode, "against": "true", "measure": name} | asdict(d)
-            )
-        rows.append((f"{group.task} {group.mode}", str(n), *shown))
-    head = (
-        "", "n",
-        *(f"{SIGNS[m][0]} [%]" if m in ("cost", "time_s") else label(m) for m in MEASURES),
-    )  # fmt: skip
+        shown = [
+            _interval(d.ratio, d.ratio_low, d.ratio_high, 1, True)
+            if name in _RELATIVE
+            else _interval(d.mean, d.low, d.high, SIGNS[name][2])
+            for name, d in found.items()
+        ]
+        rows.append((f"{group.task} {group.mode}", str(found["cost"].n), *shown))
+        of = {"task": group.task, "mode": group.mode, "against": "true"}
+        records += [of | {"measure": name} | asdict(d) for name, d in found.items()]
+    head = ("", "n", *(f"{SIGNS[m][0]} [%]" if m in _RELATIVE else _label(m) for m in MEASURES))
     note = (
         "Means of paired differences [95 % bootstrap interval]; J and t_exec in percent of the true mode's."
     )
     return StudyTable("differences", "Against the true belief, seed by seed", head, rows, records, note)
 
 
-def goal_table(judged: list[Goal]) -> StudyTable:
+def _goals(judged: Sequence[Goal]) -> StudyTable:
     """The goals, and whether they are reached."""
     rows = []
     for goal in judged:
         sign, unit, digits = SIGNS[goal.measure]
-        percent = goal.kind == "ratio" or unit == "%"
-        digits = 1 if goal.kind == "ratio" else digits
         what = {"value": sign, "difference": f"{sign} − true's", "ratio": f"{sign} / true's − 1"}[goal.kind]
-        shown = _interval(goal.value, goal.low, goal.high, digits, percent, signed=goal.kind != "value")
+        if goal.kind == "ratio":
+            unit, digits = "%", 1
+        percent, plus = unit == "%", "" if goal.kind == "value" else "+"
+        shown = _interval(goal.value, goal.low, goal.high, digits, percent, plus)
         bound = f"{'≥' if goal.at_least else '≤'} {_scaled(goal.limit, digits, percent)}"
-        unit = "%" if percent else unit
         reached = "yes" if goal.reached else "NO"
         rows.append((f"{goal.task} {goal.mode}", str(goal.n), what, unit, shown, bound, reached))
     records = [asdict(goal) | {"reached": goal.reached} for goal in judged]
@@ -159,7 +138,7 @@ def goal_table(judged: list[Goal]) -> StudyTable:
     return StudyTable("goals", "Goals", head, rows, records)
 
 
-def estimate_table(groups: Groups) -> StudyTable:
+def _estimates(groups: Groups) -> StudyTable:
     """Accuracy of the online estimates."""
     found = [accuracy for group in groups.at_base() if (accuracy := estimates(group))]
     rows = [
@@ -183,49 +162,45 @@ def estimate_table(groups: Groups) -> StudyTable:
     return StudyTable("estimates", "Online estimates", head, rows, [asdict(e) for e in found], note)
 
 
-def ablation_table(found: list[Ablation]) -> StudyTable:
+def _ablations(found: Sequence[Ablation]) -> StudyTable:
     """Every value that was tried, with the operating point marked."""
     rows, records = [], []
     for ablation in found:
+        where = f"{ablation.path} ({ablation.task} {ablation.mode})"
         for index, (value, group) in enumerate(zip(ablation.values, ablation.groups, strict=True)):
-            mark = " *" if index == ablation.default else ""
-            names = ("success", "goal_error_m", "speed_rmse", "cost", "time_s")
-            shown = [mean_sd(name, group.spread(name)) for name in names]
-            written = value if isinstance(value, str) else json.dumps(value)
-            where = f"{ablation.path} ({ablation.task} {ablation.mode})"
-            rows.append((where, f"{written}{mark}", str(group.n), *shown))
-            common = {
-                "setting": ablation.path,
-                "value": written,
-                "operating_point": index == ablation.default,
-            }
-            records += [common | _record(group, name) for name in (*RATES, *MEASURES)]
-    head = (
-        "",
-        "value",
-        "n",
-        *(label(m) for m in ("success", "goal_error_m", "speed_rmse", "cost", "time_s")),
-    )
-    return StudyTable(
-        "ablations", "Ablations", head, rows, records, "* the operating point; mean ± sd over seeds."
-    )
+            default, written = index == ablation.default, words_of(value)
+            shown = [_spread(group, name) for name in _ABLATED]
+            rows.append((where, f"{written}{' *' if default else ''}", str(group.n), *shown))
+            of = {"setting": ablation.path, "value": written, "operating_point": default}
+            records += [of | _record(group, name) for name in (*RATES, *MEASURES)]
+    head = ("", "value", "n", *map(_label, _ABLATED))
+    note = "* the operating point; mean ± sd over seeds."
+    return StudyTable("ablations", "Ablations", head, rows, records, note)
 
 
-def _mode(group: Group) -> str:
-    return f"{group.mode} (n = {group.n})"
+def words_of(value: Any) -> str:
+    """The value of a setting, as it is shown."""
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def _label(name: str) -> str:
+    """A measure with its unit: 'e_g [m]'."""
+    sign, unit, _ = SIGNS[name]
+    return sign if unit == "-" else f"{sign} [{unit}]"
 
 
 def _record(group: Group, name: str) -> dict[str, Any]:
     return {"task": group.task, "mode": group.mode, "measure": name} | asdict(group.spread(name))
 
 
-def _theirs(value: tuple[float, float] | None) -> dict[str, Any]:
-    mean, sd = value or (None, None)
-    return {"paper_mean": mean, "paper_sd": sd}
+def _spread(group: Group, name: str) -> str:
+    """Mean and sd: '0.028 ± 0.005'; of a rate, percent."""
+    spread: Spread = group.spread(name)
+    return _mean_sd(name, spread.mean, spread.sd)
 
 
-def _scaled(value: float, digits: int, percent: bool) -> str:
-    return MISSING if not math.isfinite(value) else f"{(100.0 if percent else 1.0) * value:.{digits}f}"
+def _mean_sd(name: str, mean: float, sd: float) -> str:
+    return f"{_value(name, mean)} ± {_value(name, sd)}" if math.isfinite(sd) else _value(name, mean)
 
 
 def _value(name: str, value: float) -> str:
@@ -233,21 +208,13 @@ def _value(name: str, value: float) -> str:
     return _scaled(value, digits, unit == "%")
 
 
-def _with_sd(name: str, mean: float, sd: float) -> str:
-    return f"{_value(name, mean)} ± {_value(name, sd)}" if math.isfinite(sd) else _value(name, mean)
+def _scaled(value: float, digits: int, percent: bool, plus: str = "") -> str:
+    return MISSING if not math.isfinite(value) else f"{(100.0 if percent else 1.0) * value:{plus}.{digits}f}"
 
 
-def _rate(spread: Spread) -> str:
-    return (
-        f"{_scaled(spread.mean, 0, True)} [{_scaled(spread.low, 0, True)}, {_scaled(spread.high, 0, True)}]"
-    )
-
-
-def _interval(value: float, low: float, high: float, digits: int, percent: bool, signed: bool = True) -> str:
-    factor, sign = 100.0 if percent else 1.0, "+" if signed else ""
-    if not math.isfinite(value):
-        return MISSING
-    shown = f"{factor * value:{sign}.{digits}f}"
-    if not math.isfinite(low):
-        return shown
-    return f"{shown} [{factor * low:{sign}.{digits}f}, {factor * high:{sign}.{digits}f}]"
+def _interval(
+    value: float, low: float, high: float, digits: int, percent: bool = False, plus: str = "+"
+) -> str:
+    """A number and its interval: '+3.0 [+1.2, +4.8]'."""
+    shown, *ends = (_scaled(one, digits, percent, plus) for one in (value, low, high))
+    return f"{shown} [{', '.join(ends)}]" if math.isfinite(low) else shown
