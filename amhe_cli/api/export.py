@@ -48,12 +48,11 @@ def export(
         belief: The belief, or the path of a belief.yaml.
         to: 'mjcf': identified.xml; 'urdf': identified.urdf; 'samples': samples.npz and samples.csv, draws of
             the belief that keep its correlations; 'mjlab' or 'isaaclab': a Python file with the belief's
-            intervals as randomisation ranges, and the identified model (MJCF or URDF).
+            intervals as randomisation ranges, and the identified model.
         out: Folder of the files; made if it does not exist.
         system: The system, its name or folder; None: the one that the belief names, if it comes with amhe.
         belief_anyway: Take a belief about another model too, and only warn of what has changed.
-        urdf: For 'urdf' and 'isaaclab': a URDF of the robot, whose text is kept but for the values; None: one
-            is made of the model.
+        urdf: For 'urdf' and 'isaaclab': a URDF of the robot, whose text is kept but for the values.
         count: For 'samples': number of draws.
         models: For 'samples': write an MJCF of each draw too.
         seed: For 'samples': seed of the draws.
@@ -63,7 +62,7 @@ def export(
         The files, without those of meshes.
 
     Raises:
-        ConfigError: An argument is wrong, the belief does not suit the system, or no URDF can say the model.
+        ConfigError: An argument is wrong, or the belief does not suit the system.
     """
     hush_mujoco()
     seed, _ = checked(seed, None)
@@ -77,11 +76,12 @@ def export(
     assert given is not None, "a belief was given"
     known, folder = completed(given, opened), reserve(Path(out), "export", force)
     contents: dict[str, str | FloatArray] = {}
-    if to in ("mjcf", "mjlab"):
+    if to == "urdf" and urdf is None:
+        raise ConfigError("`urdf`: give the URDF that the values are written into, or take mjcf")
+    if urdf is not None and to in ("urdf", "isaaclab"):
+        contents["identified.urdf"] = identified_urdf(opened, known.estimate, Path(urdf))
+    elif to != "samples":
         contents["identified.xml"] = identified_xml(opened, known.estimate)
-    if to in ("urdf", "isaaclab"):
-        source = None if urdf is None else Path(urdf)
-        contents["identified.urdf"] = identified_urdf(opened, known.estimate, source)
     for tool, name in ((MJLAB_TOOL, "mjlab"), (ISAACLAB_TOOL, "isaaclab")):
         if to == name:
             contents[f"{name}_events.py"] = randomisation(opened, known, tool)

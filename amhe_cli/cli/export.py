@@ -30,7 +30,7 @@ _SHOWN = 2
     "--urdf",
     type=parsing.EXISTING_FILE,
     metavar="FILE",
-    help="Keep the text of this URDF of the robot but for the values.  [default: one is made of the model]",
+    help="For urdf and isaaclab: this URDF of the robot, with the values in it.",
 )
 @click.option(
     "--count",

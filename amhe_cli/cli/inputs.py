@@ -31,9 +31,7 @@ class Inputs:
     start: float | None
     end: float | None
 
-    def open(
-        self, logs: Sequence[Path], overrides: Overrides | None = None, *, boxes_for_meshes: bool = False
-    ) -> System:
+    def open(self, logs: Sequence[Path], overrides: Overrides | None = None) -> System:
         """Load the system that the user named, or else the one that the logs name.
 
         What the logs state of their system, such as the size of a box, is taken where the system is theirs;
@@ -42,7 +40,6 @@ class Inputs:
         Args:
             logs: Paths of the logs.
             overrides: The user's settings; None: there are none.
-            boxes_for_meshes: See `System.load`.
 
         Raises:
             ConfigError: There is no such system, the logs name none or several, or a setting is wrong.
@@ -58,7 +55,7 @@ class Inputs:
         for metadata in stated.values():
             own = merged(own, _own_settings(metadata))
         settings, schema = (overrides or Overrides({}, {})).suited(folder, own)
-        loaded = System.load(folder, settings, schema=schema, boxes_for_meshes=boxes_for_meshes)
+        loaded = System.load(folder, settings, schema=schema)
         return loaded.reading(self.topics)
 
     def read(self, system: System, logs: Sequence[Path]) -> list[Log]:

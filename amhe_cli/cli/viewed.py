@@ -99,7 +99,7 @@ class Viewed:
                 f"messages of {path}" for log in logs if (path := self.inputs.msg_path or log.msg_path)
             }
             logger.log(NOTE, "shows %s", ", ".join([*files, *sorted(messages)]))
-        return self.inputs.open([log.path for log in logs], self.overrides, boxes_for_meshes=True)
+        return self.inputs.open([log.path for log in logs], self.overrides)
 
     def read(self, system: System) -> tuple[list[Log], list[Log]]:
         """The logs for a system: those that were fitted, and those that were held out.

@@ -21,17 +21,17 @@ class ServoNumbers:
     """What a drive is at one supply and gain; None: no public source says.
 
     Args:
-        kp: Stiffness [N m/rad], and
-        kp_sd: sd of its log.
+        volts: Supply [V].
+        kp: Stiffness [N m/rad].
         kv: Torque by speed of the back-EMF [N m s/rad].
         limit: Largest torque of the motor [N m].
-        torque_sd: Sd of the log of `limit` and `kv`.
+        torque_sd: Sd of the log of all torques.
         armature: [kg m^2], and
         armature_sd: sd of its log.
     """
 
+    volts: float | None
     kp: float | None
-    kp_sd: float
     kv: float | None
     limit: float | None
     torque_sd: float
@@ -84,7 +84,7 @@ class LibraryDrive:
         if per_volt is not None and self.volts and self.no_load_speed:
             kv = per_volt * self.volts / self.no_load_speed
         return ServoNumbers(
-            kp, self.torque_sd, kv, limit, self.torque_sd, self.armature, self.armature_sd or self.torque_sd
+            supply, kp, kv, limit, self.torque_sd, self.armature, self.armature_sd or self.torque_sd
         )
 
 

@@ -21,7 +21,7 @@ from amhe_cli.init.actuators import actuator_parameters, floating, ungrouped
 from amhe_cli.init.backlash import backlash_parameters
 from amhe_cli.init.drives import geared_joints, moved_by
 from amhe_cli.init.efforts import effort_parameters, effort_signal
-from amhe_cli.init.from_library import Chosen, library_parameters
+from amhe_cli.init.from_library import MISSED, Chosen, library_parameters
 from amhe_cli.init.model import add_servos, copy_model, free_root, notes_on_urdf, overlaps
 from amhe_cli.init.parameters import guess_parameters, guessed_masses, sharing
 from amhe_cli.init.signals import (
@@ -150,8 +150,9 @@ def proposed(
         notes += sharing(parameters)
     told = list[Guess]()
     if drives is not None:
-        parameters, told, gain = library_parameters(model, parameters, drives, logs, found, msg_path)
-        notes += gain
+        known = spec, model, parameters, guesses, drives, logs, found, msg_path
+        parameters, told, of_drives = library_parameters(*known)
+        rewrite, notes, model = True, notes + of_drives, compiled(spec)
     notes += overlaps(model)
     _refuse_nothing(model, topics, guesses, parameters)
     if backlash:
@@ -168,6 +169,9 @@ def proposed(
     while declared := _declare_units(made, logs[0], msg_path):
         notes += declared
     notes[:0] = _estimate_noise(made, logs[0], topics, msg_path)
+    if drives is not None:
+        for noise in (guess.noise for guess in guesses if guess.noise.get("position")):
+            noise["position"] = max(float(noise["position"] or 0.0), MISSED)
     return made
 
 

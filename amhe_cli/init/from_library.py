@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -15,11 +15,13 @@ import numpy as np
 from amhe_cli.core.errors import AmheError, ConfigError, one_of
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
-from amhe_cli.init.drive_library import LibraryDrive, drive
+from amhe_cli.init.actuators import zeros
+from amhe_cli.init.drive_library import LibraryDrive, ServoNumbers, drive
 from amhe_cli.init.drives import entry_of, linear_entry
 from amhe_cli.init.signals import Guess, Topic, joint_of
 from amhe_cli.logs import read_signals
 from amhe_cli.system.model.elements import commanded, names_of
+from amhe_cli.system.parameters.servos import SERVOS
 
 #: Names of a column or topic that holds the position gain of a drive.
 _GAIN = re.compile(
@@ -30,12 +32,23 @@ _TOLD = {
     "voltage": re.compile(r"volt", re.IGNORECASE),
     "enabled": re.compile(r"enabled?([_./ ]|$)|(^|[_./ ])torque_on", re.IGNORECASE),
 }
-#: Prior sd of a punch and of a dead band [rad] that a maker's table has: users change them.
-_PUNCH_SD, _BAND_SD = 0.02, 0.002
-#: A supply that sags, with its sd: cables and batteries have up to a quarter of a motor's resistance.
-_SAG = (0.1, 0.15)
-#: How friction of a gear grows with load, with its sd: hobby servos have 0.1 to 0.3 (arXiv 2410.08650).
-_LOAD_FRICTION = (0.1, 0.1)
+#: Further numbers of a servo that sets a duty: nominal value (None: as delivered), sd, and what it is.
+#: Users change punch and dead band; cables and batteries have up to a quarter of a motor's resistance.
+_FIRMWARE = {
+    "punch": (None, 0.02, "least duty, as a share of the largest"),
+    "dead_band": (None, 0.002, "errors that the firmware ignores [rad]"),
+    "supply_sag": (0.1, 0.15, "how far the supply sags at full duty"),
+}
+#: How the friction of hobby servos' gears grows with load, with its sd: 0.1 to 0.3 (arXiv 2410.08650).
+_LOAD_FRICTION = (0.2, 0.1)
+#: Their dry friction without load, and what is more of it at rest: as a share of the largest torque.
+_DRY, _REST = 0.015, 0.01
+#: Prior sd of the logarithm: of the duty that a gain gives, of a gain that nobody says, of the back-EMF.
+_GAIN_SD, _UNKNOWN_GAIN, _BACK_EMF_SD = 0.1, 1.5, 0.15
+#: Prior sd of the logarithm of a mass: who names the drives wants to weigh with them.
+_LOAD_SD = 0.7
+#: What models of such servos miss of a position [rad]: gears have a degree of play, and uneven teeth.
+MISSED = 0.006
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +67,10 @@ class Chosen:
 
 
 def library_parameters(
+    spec: mujoco.MjSpec,
     model: mujoco.MjModel,
     parameters: Sequence[Guess],
+    signals: Sequence[Guess],
     chosen: Chosen,
     logs: Sequence[Path],
     topics: Sequence[Topic],
@@ -64,117 +79,108 @@ def library_parameters(
     """The parameters, with those of the chosen drives in place of guesses about the same numbers.
 
     Args:
-        model: The model.
+        spec: The model's source; its position servos get the gain and the limit of their drives.
+        model: The model as it was.
         parameters: Parameters that were guessed.
+        signals: Signals of the log.
         chosen: The drives.
         logs: Logs, whose first may hold the gain in a column of
         topics: its tables.
         msg_path: See `read_signals`.
 
     Returns:
-        The parameters, what a table says of the drives' supply and enabling, and sentences about the gain.
+        The parameters, what a table says of the drives' supply and enabling, and sentences about the model.
 
     Raises:
         ConfigError: A joint or drive is not known, or no actuator moves the joint.
     """
     gain, notes = (chosen.gain_p, []) if chosen.gain_p is not None else _logged_gain(logs, topics, msg_path)
     actuators = {joint: name for name in names_of(model, "actuator") if (joint := joint_of(model, name))}
-    made, signals = list[Guess](), list[Guess]()
+    made, more = list[Guess](), list[Guess]()
     for pattern, name in chosen.drives.items():
         joints = [joint for joint in actuators if fnmatchcase(joint, pattern)]
         if not joints:
             raise ConfigError(f"`drive`: {one_of('driven joint', pattern, list(actuators))}")
+        one, servo = drive(name, chosen.volts), drive(name, chosen.volts).servo(chosen.volts, gain)
         for joint in joints:
-            one, row = drive(name, chosen.volts), model.actuator(actuators[joint]).id
-            made += _of_drive(model, joint, actuators[joint], one, chosen.volts, gain)
-            limit = one.servo(chosen.volts).limit
-            if commanded(model, row) == "position" and model.actuator_forcelimited[row]:
-                told = _told(topics, actuators[joint], len(actuators) == 1)
-                signals += told
-                made += _of_firmware(
-                    joint,
-                    actuators[joint],
-                    one,
-                    chosen.volts,
-                    {quantity for one in told for quantity in one.entry["columns"]},
+            actuator, at = actuators[joint], f"of joint {joint}, {one.title}"
+            if servo.armature is not None:
+                entry = entry_of(
+                    servo.armature, False, [{"joint": joint, "set": "armature"}], servo.armature_sd
                 )
-            elif limit is not None and not model.actuator_forcelimited[row]:
-                notes.append(
-                    f"the actuator {actuators[joint]} has no limit: {one.name} has about {limit:.3g} N m; "
-                    f'give it forcerange="-{limit:.3g} {limit:.3g}" if the log may reach that'
+                made.append(Guess(f"{joint}_armature", entry, f"rotor {at}: {one.source}"))
+            if commanded(model, model.actuator(actuator).id) == "position" and servo.limit is not None:
+                told = _told(topics, actuator, len(actuators) == 1)
+                more += told
+                notes.append(_write(spec, model, actuator, one, servo))
+                made += _of_servo(
+                    model, joint, actuator, one, servo, {next(iter(t.entry["columns"])) for t in told}
                 )
+            elif servo.limit is not None:
+                notes.append(f"the motor {actuator} gives at most about {servo.limit:.3g} N m as {one.name}")
+    driven = {joint for pattern in chosen.drives for joint in actuators if fnmatchcase(joint, pattern)}
+    made += [g for g in zeros(model, sorted(driven), signals) if g.name not in {p.name for p in parameters}]
     known = {_number(target) for guess in made for target in guess.entry["targets"]}
     left = [kept for guess in parameters if (kept := _without(guess, known)) is not None]
-    return [*left, *made], signals, notes
+    for guess in left:
+        if {target["set"] for target in guess.entry["targets"]} == {"mass"}:
+            guess.entry["prior_sd"] = _LOAD_SD
+            guess.why += "; prior wide, as of a load to be weighed"
+    return [*left, *made], more, notes
 
 
-def _of_drive(
-    model: mujoco.MjModel,
-    joint: str,
-    actuator: str,
-    one: LibraryDrive,
-    volts: float | None,
-    gain_p: float | None,
-) -> list[Guess]:
-    row, servo = model.actuator(actuator).id, one.servo(volts, gain_p)
-    at = f"{one.title}{f' at {volts:g} V' if volts else ''}"
-    source = f"of joint {joint}, {at}: {one.source}{f' ({one.note})' if one.note else ''}"
-    found = [("armature", servo.armature, servo.armature_sd, {"joint": joint, "set": "armature"}, "rotor")]
-    if commanded(model, row) == "position":
-        found += [
-            (
-                "gain",
-                servo.kp,
-                servo.kp_sd,
-                {"actuator": actuator, "set": "gain"},
-                f"stiffness at gain {gain_p}",
-            ),
-        ]
-        word = "back_emf" if model.actuator_forcelimited[row] else "actuator_damping"
-        kind = "kv" if word == "actuator_damping" else word
-        found.append((kind, servo.kv, servo.torque_sd, {"actuator": actuator, "set": word}, "back-EMF"))
-    if model.actuator_forcelimited[row]:
-        target = {"actuator": actuator, "set": "force_limit"}
-        found.append(("force_limit", servo.limit, servo.torque_sd, target, "torque at full duty"))
-    return [
-        Guess(f"{joint}_{kind}", entry_of(value, False, [target], sd), f"{what} {source}")
-        for kind, value, sd, target, what in found
-        if value is not None
-    ]
+def _write(
+    spec: mujoco.MjSpec, model: mujoco.MjModel, actuator: str, one: LibraryDrive, servo: ServoNumbers
+) -> str:
+    """Give a position servo of the model its drive's numbers, and say so."""
+    written, row = spec.actuator(actuator), model.actuator(actuator).id
+    kp, kv = float(servo.kp or model.actuator_gainprm[row, 0]), -float(model.actuator_biasprm[row, 2])
+    kv = 0.0 if servo.kv is not None else kv  # the back-EMF is beyond the firmware
+    written.set_to_position(kp=float(f"{kp:.4g}"), kv=kv)
+    written.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+    written.forcerange = [-float(f"{servo.limit:.4g}"), float(f"{servo.limit:.4g}")]
+    firmware = (one.punch, one.dead_band, None, servo.kv, servo.volts)
+    SERVOS.add(spec, [actuator], [number or 0.0 for number in firmware])
+    return f"the model's {actuator} is a {one.name} now: {kp:.3g} N m/rad, at most {servo.limit:.3g} N m"
 
 
-def _of_firmware(
-    joint: str, actuator: str, one: LibraryDrive, volts: float | None, told: Set[str]
-) -> list[Guess]:
-    """What a limited servo has beside a gain, and its gear."""
-    servo = {"actuator": actuator}
-    made = [
-        ("punch", one.punch, _PUNCH_SD, servo, "least duty, as a share of the largest"),
-        ("dead_band", one.dead_band, _BAND_SD, servo, "errors that the firmware ignores"),
-        ("supply_sag", None if "voltage" in told else _SAG[0], _SAG[1], servo, "how far the supply sags"),
-        (
-            "load_friction",
-            _LOAD_FRICTION[0],
-            _LOAD_FRICTION[1],
-            {"joint": joint},
-            "of the torque in the gear",
-        ),
-    ]
-    guesses = [
-        Guess(
-            f"{joint}_{word}",
-            linear_entry(value, (value - 10.0 * sd, value + 10.0 * sd), sd, {**target, "set": word}),
-            f"{what}, of joint {joint}: {one.title}",
+def _of_servo(
+    model: mujoco.MjModel, joint: str, actuator: str, one: LibraryDrive, servo: ServoNumbers, told: Set[str]
+) -> Iterator[Guess]:
+    """What is unknown of a position servo whose model has the drive's gain and limit."""
+    here, at = {"actuator": actuator}, f"of joint {joint}, {one.title}"
+    assert servo.limit is not None
+    scaled = [{**here, "set": "gain", "mode": "scale", "carry_limit": True}]
+    if servo.kv is not None:
+        scaled.append({**here, "set": "back_emf", "mode": "scale"})
+        entry = entry_of(servo.kv, False, [{**here, "set": "back_emf"}], _BACK_EMF_SD)
+        yield Guess(f"{joint}_back_emf", entry, f"torque lost by speed {at}: by its no-load speed")
+    entry = entry_of(1.0, False, scaled, one.torque_sd) | {"unit": "-"}
+    why = f"factor on all torque {at}: {one.source}{f' ({one.note})' if one.note else ''}"
+    yield Guess(f"{joint}_torque_scale", entry, why)
+    kp, sd = (servo.kp, _GAIN_SD) if servo.kp else (float(model.actuator(actuator).gainprm[0]), _UNKNOWN_GAIN)
+    why = f"stiffness {at}" + ("" if servo.kp else "; the model's, since no gain is known: give `gain_p`")
+    yield Guess(f"{joint}_gain", entry_of(kp, False, [{**here, "set": "gain"}], sd), why)
+    entry = entry_of(_DRY * servo.limit, True, [{"joint": joint, "set": "friction_loss"}])
+    yield Guess(f"{joint}_friction_loss", entry, f"dry friction without load {at}; a guess")
+    linear = {
+        "load_friction": (*_LOAD_FRICTION, {"joint": joint}, "friction, as a share of the torque in the gear")
+    }
+    rest = _REST * servo.limit
+    linear["stribeck_friction"] = (rest, 1.5 * rest, {"joint": joint}, "more dry friction at rest")
+    if one.gains == "counts":
+        for word, (value, spread, what) in _FIRMWARE.items():
+            value = getattr(one, word) if value is None else value
+            if value is not None and not (word == "supply_sag" and "voltage" in told):  # that has sagged
+                linear[word] = (value, spread, here, what)
+    for word, (value, spread, target, what) in linear.items():
+        entry = linear_entry(
+            value, (value - 10.0 * spread, value + 10.0 * spread), spread, {**target, "set": word}
         )
-        for word, value, sd, target, what in made
-        if value is not None
-    ]
-    if "voltage" in told and (supply := volts or one.volts):
-        entry = {"nominal": supply, "prior_sd": 0.0, "targets": [{**servo, "set": "supply"}]}
-        guesses.append(
-            Guess(f"{joint}_supply", entry, "supply at which gain and force limit hold; the log has its own")
-        )
-    return guesses
+        yield Guess(f"{joint}_{word}", entry, f"{what}, {at}")
+    if "voltage" in told:
+        fixed = {"nominal": servo.volts, "prior_sd": 0.0, "targets": [{**here, "set": "supply"}]}
+        yield Guess(f"{joint}_supply", fixed, "supply at which the limit holds; the log has its own")
 
 
 def _told(topics: Sequence[Topic], actuator: str, alone: bool) -> list[Guess]:

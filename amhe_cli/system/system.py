@@ -36,7 +36,6 @@ class System(SystemData, Displayed):
         *,
         schema: type[Settings] = Settings,
         warn: bool = True,
-        boxes_for_meshes: bool = False,
     ) -> System:
         """Read, check and compile a system folder.
 
@@ -47,19 +46,17 @@ class System(SystemData, Displayed):
             schema: Class of the settings. A robot has its own with more groups; without it, the groups of the
                 system's robot are not checked.
             warn: Log what is allowed but will not do what it seems to.
-            boxes_for_meshes: Boxes stand in for meshes whose files are missing, with a warning: good for a
-                look at a log, but what touches them moves otherwise.
 
         Raises:
             ConfigError: One line for each mistake, `file:line:column: what, what would be valid`.
         """
-        made = load(name_or_folder, settings, schema, warn=warn, boxes_for_meshes=boxes_for_meshes)
+        made = load(name_or_folder, settings, schema, warn=warn)
         return cls(**vars(made))
 
     @classmethod
     def from_model(
         cls,
-        model: mujoco.MjModel | mujoco.MjSpec | str | Path,
+        model: mujoco.MjSpec | str | Path,
         *,
         parameters: Mapping[str, Any],
         signals: Mapping[str, Any],
@@ -71,11 +68,10 @@ class System(SystemData, Displayed):
         meshes: bool = True,
         warn: bool = True,
     ) -> System:
-        """Make a system from a MuJoCo model and plain dictionaries; no folder and no YAML is needed.
+        """Make a system from a model and plain dictionaries; no folder and no YAML is needed.
 
         Args:
-            model: Path of an MJCF or URDF file, or an MjSpec, which is copied. An MjModel is taken
-                while MuJoCo still has its source: it must be the last that was loaded from XML.
+            model: Path of an MJCF or URDF file, or an MjSpec, which is copied.
             parameters: Name -> entry with the keys that `parameters` has in `system.yaml`.
             signals: Name -> entry likewise; `topic` may be left out.
             settings: Nested settings over the defaults.

@@ -47,9 +47,8 @@ def test_a_model_of_each_sample(belief: Path, tmp_path: Path) -> None:
     ("kind", "files"),
     [
         ("mjcf", {"identified.xml"}),
-        ("urdf", {"identified.urdf"}),
         ("mjlab", {"identified.xml", "mjlab_events.py"}),
-        ("isaaclab", {"identified.urdf", "isaaclab_events.py"}),
+        ("isaaclab", {"identified.xml", "isaaclab_events.py"}),
     ],
 )
 def test_every_kind_is_a_command(

@@ -241,26 +241,6 @@ def test_a_port_that_is_taken_is_one_line(pendulum_log: Path, capsys) -> None:
     assert "--port" in err
 
 
-def test_boxes_stand_in_for_missing_meshes_and_the_page_says_so(
-    pendulum_log: Path, tmp_path: Path, capsys
-) -> None:
-    folder, page = tmp_path / "system", tmp_path / "page.html"
-    shutil.copytree(MODELS / "pendulum", folder)
-    scene = (folder / "scene.xml").read_text()
-    mesh = '<geom type="mesh" mesh="cover" mass="0" contype="0" conaffinity="0" group="2"/>'
-    scene = scene.replace('<body name="load"', f'<body name="cover">{mesh}</body><body name="load"', 1)
-    scene = scene.replace(
-        "<worldbody>", '<asset><mesh name="cover" file="meshes/cover.stl"/></asset><worldbody>'
-    )
-    (folder / "scene.xml").write_text(scene)
-    assert run(["view", str(pendulum_log), "--system", str(folder), "--save", str(page)]) == 0
-    assert "boxes stand in for 1 missing mesh: meshes/cover.stl" in capsys.readouterr().err
-    assert any("missing mesh" in note for note in data_of(page)["notes"])
-    # what is computed from contacts and inertias still refuses
-    assert run(["identify", str(pendulum_log), "--system", str(folder), "-o", str(tmp_path / "out")]) == 2
-    assert "cover.stl" in capsys.readouterr().err
-
-
 @pytest.fixture(scope="module")
 def own_result(pendulum_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A replay of a system of the user's own, whose signal has another topic and whose prior is moved."""

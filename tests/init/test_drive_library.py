@@ -49,6 +49,10 @@ def test_counts_become_newton_metres() -> None:
         drive("feetech:sts3216")
 
 
+def theta_of(system: amhe.System, **values: float) -> np.ndarray:
+    return np.array([values.get(p.name, p.nominal) for p in system.space.parameters])
+
+
 def made(tmp_path: Path, *options: str, gains: str = "", extra: tuple[str, ...] = ()) -> amhe.System:
     times = np.arange(0.0, 2.0, 0.01)
     columns = {"time": times}
@@ -70,13 +74,18 @@ def test_a_drive_takes_the_place_of_the_guesses(gains: str, tmp_path: Path, caps
     system = made(tmp_path, *options, gains=gains)
     servo = drive("feetech:sts3215").servo(7.4, 16)
     prior = {p.name: (p.nominal, p.prior_sd) for p in system.space.parameters}
-    assert prior["elbow_gain"] == pytest.approx((servo.kp, 0.15), rel=5e-3)
+    assert prior["elbow_gain"] == pytest.approx((servo.kp, 0.1), rel=5e-3)
+    assert prior["elbow_torque_scale"] == (1.0, 0.15)
     assert prior["elbow_back_emf"] == pytest.approx((servo.kv, 0.15), rel=5e-3)
     assert prior["elbow_punch"] == (0.016, 0.02) and prior["elbow_supply_sag"] == (0.1, 0.15)
-    assert prior["elbow_force_limit"] == pytest.approx((servo.limit, 0.15), rel=5e-3)
+    assert system.model.actuator("elbow").forcerange == pytest.approx([-servo.limit, servo.limit], rel=1e-3)
+    at_08 = system.edits.apply(system.model, theta_of(system, elbow_torque_scale=0.8))
+    for field in ("forcerange", "gainprm"):  # one torque per volt is in all that the servo gives
+        scaled, own = (getattr(model.actuator("elbow"), field) for model in (at_08, system.model))
+        assert scaled == pytest.approx(0.8 * own)
     assert prior["elbow_armature"] == pytest.approx((0.024, 0.3))
     assert prior["shoulder_armature"][1] == 1.0  # a guess, as before
-    assert "shoulder_force_limit" not in prior
+    assert "shoulder_torque_scale" not in prior
     said = capsys.readouterr().out
     assert ("the drives' gain is 16, by the log's column P_Coefficient" in said) == bool(gains)
 

@@ -34,33 +34,22 @@ def assert_same(made: System, loaded: System) -> None:
     assert made.spec.to_xml() == loaded.spec.to_xml()
 
 
-@pytest.mark.parametrize("kind", ["path", "text", "spec", "model"])
+@pytest.mark.parametrize("kind", ["path", "text", "spec"])
 def test_dictionaries_make_the_system_that_the_folder_makes(kind: str) -> None:
     model = {
         "path": lambda: SCENE,
         "text": lambda: str(SCENE),
         "spec": lambda: mujoco.MjSpec.from_file(str(SCENE)),
-        "model": lambda: mujoco.MjModel.from_xml_path(str(SCENE)),
     }[kind]()
     system = made(model, name="pendulum")
-    if kind != "model":  # MuJoCo writes out the inertias of a compiled model
-        assert_same(system, System.load("pendulum"))
+    assert_same(system, System.load("pendulum"))
     assert (system.name, system.folder) == ("pendulum", None)
     assert system.space == System.load("pendulum").space
 
 
-def test_a_model_whose_source_is_gone_is_refused() -> None:
-    model = mujoco.MjModel.from_xml_path(str(SCENE))
-    mujoco.MjModel.from_xml_string("<mujoco/>")
-    with pytest.raises(ConfigError, match="no longer has the source of this MjModel; give the MjSpec"):
-        made(model)
-
-
-def test_a_model_can_be_given_twice() -> None:
-    model = mujoco.MjModel.from_xml_path(str(SCENE))
-    made(model)
-    mujoco.MjModel.from_xml_string("<mujoco/>")
-    assert made(model).space.names == tuple(FILE["parameters"])
+def test_a_compiled_model_is_refused() -> None:
+    with pytest.raises(ConfigError, match="give an MJCF, a URDF or an MjSpec"):
+        made(mujoco.MjModel.from_xml_path(str(SCENE)))
 
 
 def test_the_spec_that_was_given_stays_as_it_was() -> None:

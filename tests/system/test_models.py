@@ -6,7 +6,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from amhe_cli.system.model.files import compiled, read_without_meshes
 from amhe_cli.system.system import System
 
 G = 9.81
@@ -124,19 +123,3 @@ def test_dry_friction_stops_the_arm_short_of_its_rest(pendulum: System) -> None:
     free = pendulum.edits.apply(pendulum.model, theta_of(pendulum, friction_loss=1e-9))
     assert free_swing(held, start, 0.3)[1].min() > 0.9 * start
     assert free_swing(free, start, 0.3)[1].min() < 0.0
-
-
-def test_the_box_for_a_missing_mesh_has_the_extent_of_its_bodys_inertia(tmp_path, caplog):
-    half, mass = np.array([0.1, 0.2, 0.3]), 12.0
-    moments = " ".join(str(mass / 3.0 * (half @ half - h**2)) for h in half)
-    (tmp_path / "m.xml").write_text(f"""<mujoco>
-      <asset><mesh name="a" file="a.stl"/><mesh name="b" file="b.stl"/></asset>
-      <worldbody><body><freejoint/><inertial pos="0 0 0.5" mass="{mass}" diaginertia="{moments}"/>
-      <geom name="known" type="mesh" mesh="a" pos="1 0 0"/></body>
-      <body><geom name="unknown" type="mesh" mesh="b" pos="1 0 0"/></body></worldbody></mujoco>""")
-    model = compiled(read_without_meshes(tmp_path / "m.xml"))
-    assert model.geom("known").size == pytest.approx(half)
-    assert model.geom("known").pos == pytest.approx([0.0, 0.0, 0.5])
-    assert model.geom("unknown").pos == pytest.approx([1.0, 0.0, 0.0])
-    assert model.nmesh == 0
-    assert "boxes stand in for 2 missing meshes: a.stl, b.stl" in caplog.text

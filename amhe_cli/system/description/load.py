@@ -23,7 +23,7 @@ from amhe_cli.system.description.parameters import generalise, unknowns_of
 from amhe_cli.system.description.schema import Description, SystemEntry, robot_groups, validated
 from amhe_cli.system.description.signals import draft_wiring
 from amhe_cli.system.model.elements import id_of, matching_rows
-from amhe_cli.system.model.files import compiled, read_spec, read_without_meshes, resize_boxes, spec_of
+from amhe_cli.system.model.files import compiled, read_spec, resize_boxes, spec_of
 from amhe_cli.system.model.urdf import UrdfOptions, is_urdf
 
 logger = logging.getLogger(__name__)
@@ -38,14 +38,13 @@ def load(
     schema: type[Settings],
     *,
     warn: bool,
-    boxes_for_meshes: bool,
 ) -> SystemData:
     """See `System.load`."""
     folder, overrides = find_system(name_or_folder), settings or {}
     file = YamlFile(folder / FILE_NAME, _placed(overrides), patient=True)
     _check_names(file, overrides, schema)
     entry = validated(file, schema)
-    spec = None if entry is None else _spec(file, folder / entry.model, entry, boxes_for_meshes)
+    spec = None if entry is None else _spec(file, folder / entry.model, entry)
     if entry is None or spec is None:
         file.raise_problems()
         raise ConfigError(f"{file.path}: not a system")
@@ -58,7 +57,7 @@ def load(
 
 
 def described(
-    model: mujoco.MjModel | mujoco.MjSpec | str | Path,
+    model: mujoco.MjSpec | str | Path,
     description: Mapping[str, Any],
     name: str | None,
     urdf: UrdfOptions,
@@ -268,12 +267,12 @@ def _check_names(file: YamlFile, overrides: Mapping[str, Any], schema: type[Sett
                 raise ConfigError(f"setting {group}.{name}: {one_of(group[:-1], str(name), map(str, known))}")
 
 
-def _spec(file: YamlFile, path: Path, entry: SystemEntry, boxes: bool) -> mujoco.MjSpec | None:
+def _spec(file: YamlFile, path: Path, entry: SystemEntry) -> mujoco.MjSpec | None:
     if not path.is_file():
         file.problem(("model",), f"no file {entry.model!r} beside this one; give an MJCF or a URDF")
         return None
     try:
-        spec = read_without_meshes(path) if boxes else read_spec(path)
+        spec = read_spec(path)
     except ConfigError as error:
         elsewhere = " (options of `amhe init`, which copies a model with its meshes)" if is_urdf(path) else ""
         file.problem(("model",), f"{error}{elsewhere}")

@@ -7,8 +7,6 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from weakref import WeakKeyDictionary
 
 import mujoco
 import numpy as np
@@ -22,8 +20,6 @@ logger = logging.getLogger(__name__)
 
 #: Least half edge of a box in place of a mesh [m].
 _THIN = 1e-3
-#: Half edge of a box where nothing suggests one [m].
-_UNKNOWN = 0.05
 
 
 def read_spec(path: Path, urdf: UrdfOptions | None = None) -> mujoco.MjSpec:
@@ -50,41 +46,6 @@ def read_spec(path: Path, urdf: UrdfOptions | None = None) -> mujoco.MjSpec:
     if bare:
         _add_boxes(spec, bare)
     _exclude_overlaps(spec, path.name)
-    return spec
-
-
-def read_without_meshes(path: Path) -> mujoco.MjSpec:
-    """Read a model file with boxes in place of the meshes whose files are missing, and warn of them.
-
-    A box has the extent that its body's mass and inertia suggest, or edges of 0.1 m where the body's own come
-    from its shapes. Of a URDF that misses a mesh all links get such boxes.
-
-    Raises:
-        ConfigError: MuJoCo cannot read it.
-    """
-    if is_urdf(path):
-        try:
-            return read_spec(path)
-        except ConfigError as error:
-            logger.warning("%s; boxes stand in for all meshes", error)
-            return read_spec(path, UrdfOptions(meshes=False))
-    spec = read_spec(path)
-    folder = path.absolute().parent / spec.meshdir
-    missing = {mesh.name: mesh for mesh in spec.meshes if mesh.file and not (folder / mesh.file).is_file()}
-    for geom in spec.geoms:
-        if geom.meshname in missing:
-            geom.type, geom.meshname, body = mujoco.mjtGeom.mjGEOM_BOX, "", geom.parent
-            geom.size = np.full(3, _UNKNOWN)
-            if body.explicitinertial and body.mass > 0.0 and np.isfinite(body.inertia).all():
-                geom.size, geom.pos, geom.quat = _half_edges(body.mass, body.inertia), body.ipos, body.iquat
-    files = [mesh.file for mesh in missing.values()]
-    for mesh in missing.values():
-        spec.delete(mesh)
-    if files:
-        logger.warning(
-            "%s: boxes stand in for %d missing mesh%s: %s%s", path, len(files), "es" * (len(files) > 1),
-            ", ".join(files[:3]), ", ..." * (len(files) > 3),
-        )  # fmt: skip
     return spec
 
 
@@ -123,48 +84,17 @@ def _exclude_overlaps(spec: mujoco.MjSpec, name: str) -> None:
         spec.add_exclude(bodyname1=model.body(first).name, bodyname2=model.body(second).name)
 
 
-def spec_of(
-    model: mujoco.MjModel | mujoco.MjSpec | str | Path, urdf: UrdfOptions | None = None
-) -> mujoco.MjSpec:
+def spec_of(model: mujoco.MjSpec | str | Path, urdf: UrdfOptions | None = None) -> mujoco.MjSpec:
     """A spec of a model that the caller may change: read from its MJCF or URDF file, or copied.
 
-    MuJoCo keeps the source of a compiled model only of the XML that was loaded last; the numbers of such a
-    spec have six digits.
-
     Raises:
-        ConfigError: The file cannot be read, or the source of the compiled model is lost.
+        ConfigError: There is no such file, or it cannot be read.
     """
-    if isinstance(model, mujoco.MjModel):
-        return _source_of(model)
-    if not isinstance(model, str | Path):
+    if isinstance(model, mujoco.MjSpec):
         return model.copy()
-    if not Path(model).is_file():
-        raise ConfigError(f"`model`: there is no file {str(model)!r}; give an MJCF or a URDF")
+    if not (isinstance(model, str | Path) and Path(model).is_file()):
+        raise ConfigError(f"`model`: there is no file {str(model)!r}; give an MJCF, a URDF or an MjSpec")
     return read_spec(Path(model), urdf)
-
-
-#: Sources of compiled models that were given before: MuJoCo has lost them as soon as it loads another model.
-_SOURCES: WeakKeyDictionary[mujoco.MjModel, mujoco.MjSpec] = WeakKeyDictionary()
-
-
-def _source_of(model: mujoco.MjModel) -> mujoco.MjSpec:
-    if model in _SOURCES:
-        return _SOURCES[model].copy()
-    try:
-        with TemporaryDirectory() as folder:
-            path = Path(folder) / "model.xml"
-            mujoco.mj_saveLastXML(str(path), model)
-            spec = mujoco.MjSpec.from_file(str(path))
-            again = spec.compile()
-    except (ValueError, mujoco.FatalError):
-        again = None
-    if again is None or again.names != model.names or not np.allclose(again.qpos0, model.qpos0, atol=1e-4):
-        raise ConfigError(
-            "`model`: MuJoCo no longer has the source of this MjModel; give the MjSpec or the XML file that "
-            "it was made from"
-        )
-    _SOURCES[model] = spec
-    return spec.copy()
 
 
 def compiled(spec: mujoco.MjSpec, name: str = "the model") -> mujoco.MjModel:

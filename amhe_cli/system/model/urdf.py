@@ -22,7 +22,7 @@ from amhe_cli.system.model.packages import Places
 logger = logging.getLogger(__name__)
 
 #: Attributes of <inertia>, and their places in the matrix.
-_INERTIA = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
+INERTIA = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
 #: Ending of the name of a xacro file: a program that writes a URDF, which amhe does not run.
 _XACRO = ".xacro"
 
@@ -112,7 +112,7 @@ def _mended(link: ElementTree.Element) -> bool:
     inertia = np.zeros((3, 3))
     try:
         mass = float(weight.get("value", 0.0))
-        for name, (row, column) in _INERTIA.items():
+        for name, (row, column) in INERTIA.items():
             inertia[row, column] = inertia[column, row] = float(element.get(name, 0.0))
     except ValueError as error:
         raise ConfigError(f"link {link.get('name', '')!r}: its inertial: {error}") from None
@@ -123,7 +123,7 @@ def _mended(link: ElementTree.Element) -> bool:
         return False
     raised = np.maximum(moments, max(1e-6 * mass, 1e-12)) if mass > 0.0 else np.zeros(3)
     inertia = raised.sum() * np.eye(3) - (axes * raised) @ axes.T
-    for name, place in _INERTIA.items():
+    for name, place in INERTIA.items():
         element.set(name, repr(float(inertia[place])))
     return mass > 1e-3 and bool(moments[0] < -1e-3 * np.abs(moments).max())
 
