@@ -66,7 +66,7 @@ def run(
     seed: int,
     duration: float,
     plant: Path | None,
-    watch: bool,
+    view: bool,
     wire: dict[str, Any],
     overrides: Overrides,
     out: options.Output,
@@ -104,7 +104,7 @@ def run(
     if dry_run:
         return at_the_robot.dry_run(session, opened)
     with stopping(session) as stopped, filling(folder, keep=True, force=out.force) as scratch:
-        ending, history, link = _driven(session, opened, scratch, stopped, watch)
+        ending, history, link = _driven(session, opened, scratch, stopped, view)
         if isinstance(ending.error, OSError):  # as on a full disk: no page either, but the log is kept
             raise ending.error
         session.interrupted = ending.interrupted
@@ -135,7 +135,7 @@ def run(
 
 
 def _driven(
-    session: Session, run: Run, folder: Path, stopped: Callable[[], bool], watch: bool
+    session: Session, run: Run, folder: Path, stopped: Callable[[], bool], view: bool
 ) -> tuple[Ending, History, dict[str, Any]]:
     """Drive a run to its end, with its log and live page; how it ended, its history, and its link."""
     from amhe_cli.cli.progress import progress
@@ -146,7 +146,7 @@ def _driven(
     history, title = History(run.task), f"{run.options.task} {run.options.mode}"
     with ExitStack() as stack:
         recorder = stack.enter_context(recorder_of(run, folder / "log.mcap"))
-        watching = stack.enter_context(watching_run(session, run)) if watch else None
+        watching = stack.enter_context(watching_run(session, run)) if view else None
 
         def go() -> Ending:
             with progress(session, title, _shown(), stays=run.plant is None) as show:

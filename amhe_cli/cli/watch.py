@@ -16,12 +16,14 @@ import click
 from amhe_cli.cli import live_options, log_path, options, parsing
 from amhe_cli.cli.estimation_options import believed, narrowing
 from amhe_cli.cli.session import Session, stopping
+from amhe_cli.cli.watching import watched, watching_windows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from subprocess import Popen
 
     from amhe_cli.cli.settings import Overrides
+    from amhe_cli.estimation.online.horizon import Estimate
     from amhe_cli.report.watch import WatchReport
     from amhe_cli.view.server import PageServer
 
@@ -69,6 +71,7 @@ _WARNINGS = 100
     metavar="PORT",
     help="Serve the values for Prometheus at http://127.0.0.1:PORT/metrics.",
 )
+@watched
 @live_options.for_seconds("Stop after S seconds.  [default: when it is interrupted]")
 @options.seed
 @options.engine
@@ -92,6 +95,7 @@ def watch(
     rules: Sequence[str],
     on_jump: str | None,
     metrics: int | None,
+    view: bool,
     seconds: float | None,
     seed: int,
     engine: str,
@@ -105,9 +109,10 @@ def watch(
     and result.json at the end.
     """
     from amhe_cli.cli.inputs import Inputs
+    from amhe_cli.core.belief import completed
     from amhe_cli.core.files import json_text, write_whole
     from amhe_cli.estimation.online.horizon import check_window
-    from amhe_cli.estimation.online.workers import InProcess
+    from amhe_cli.estimation.online.workers import InProcess, SeenWorker, Worker
     from amhe_cli.live.watch import Alarm, estimator_of
     from amhe_cli.live.watch import watch as run_watch
     from amhe_cli.logs.live.open import open_source
@@ -137,7 +142,11 @@ def watch(
             open_source(source, follow, opened, Definitions(msg_path), speed)
         )
         budget = mhe.budget or mhe.update_period
-        worker = closed.enter_context(closing(InProcess(factory, budget, *_HANGS)))
+        worker: Worker = closed.enter_context(closing(InProcess(factory, budget, *_HANGS)))
+        if view:
+            start = completed(known, opened).estimate if known else opened.space.nominal
+            look = closed.enter_context(watching_windows(session, opened, start, transport.about))
+            worker = SeenWorker(worker, look)
         sent = [transport.publish, *_to_foxglove(session, closed, opened.settings.live.foxglove, msg_path)]
         report = closed.enter_context(
             WatchReport(folder, opened, found, origin, sent, {str(a): a.holds for a in alarms})
@@ -145,14 +154,8 @@ def watch(
         show = closed.enter_context(_shown(session, report))
         if metrics is not None:
             closed.enter_context(_served(session, metrics, report.metrics))
-        end, child = time.monotonic() + (seconds or float("inf")), None
-        for event in run_watch(opened, found, worker):
-            show(report.take(event))
-            if isinstance(event, str):
-                if event not in session.warnings and len(session.warnings) < _WARNINGS:
-                    session.warnings.append(event)
-            elif event is not None and event.mark == "jump":
-                child = _run(on_jump, report.record(), child)
+        end = time.monotonic() + (seconds or float("inf"))
+        for _ in _reported(session, run_watch(opened, found, worker), report, show, on_jump):
             if stopped() or time.monotonic() > end or (session.strict and session.warnings):
                 break
     record = session.record(**report.record(), out=str(folder))
@@ -161,6 +164,25 @@ def watch(
         return session.print_json(record)
     text = f"{report.values or 'no window was estimated'}\nresults: {folder}"
     session.console().print(text, soft_wrap=True)
+
+
+def _reported(
+    session: Session,
+    events: Iterator[Estimate | str | None],
+    report: WatchReport,
+    show: Callable[[str], None],
+    on_jump: str | None,
+) -> Iterator[None]:
+    """Report each event, and run the user's command at each jump."""
+    child = None
+    for event in events:
+        show(report.take(event))
+        if isinstance(event, str):
+            if event not in session.warnings and len(session.warnings) < _WARNINGS:
+                session.warnings.append(event)
+        elif event is not None and event.mark == "jump":
+            child = _run(on_jump, report.record(), child)
+        yield
 
 
 @contextmanager

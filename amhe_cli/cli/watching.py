@@ -14,14 +14,18 @@ import click
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
+    from amhe_cli.core.arrays import FloatArray
+    from amhe_cli.core.log import Window
+    from amhe_cli.estimation.online.horizon import Estimate
     from amhe_cli.live.episode import Cycle
     from amhe_cli.robots.go1.run import Run
     from amhe_cli.robots.go1.tasks import Task
+    from amhe_cli.system.system import System
     from amhe_cli.view.scene import Geom
     from amhe_cli.view.server import PageServer
 
 watched = click.option(
-    "--view", "watch", is_flag=True, help="Serve a page to this computer that shows it live (docs/view.md)."
+    "--view", is_flag=True, help="Serve a page to this computer that shows it live (docs/view.md)."
 )
 
 
@@ -74,6 +78,25 @@ def watching_run(session: Session, run: Run) -> Iterator[Callable[[Cycle, dict[s
     with page:
         announce(session, page.server)
         yield show
+
+
+@contextmanager
+def watching_windows(
+    session: Session, system: System, start: FloatArray, about: str
+) -> Iterator[Callable[[Window, Estimate], None]]:
+    """Show windows of an online estimator, under its belief and the first one.
+
+    Args:
+        session: The session.
+        system: The system.
+        start: Values of the first belief, shape (d,).
+        about: Where the samples come from, in words.
+    """
+    from amhe_cli.view.windows import WindowsShown
+
+    with WindowsShown(system, start, about) as page:
+        announce(session, page.server)
+        yield lambda window, estimate: page.put((window, estimate))
 
 
 def floor_of(task: Task) -> list[Geom]:

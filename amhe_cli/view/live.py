@@ -11,7 +11,7 @@ import json
 import logging
 from base64 import b64encode
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from queue import Empty, Full, Queue
@@ -45,10 +45,10 @@ class Broadcast(Generic[T]):
 
     Args:
         page: The page.
-        encode: Makes a message of an item, in the broadcast's own thread.
+        encode: Makes the messages of an item, in the broadcast's own thread.
     """
 
-    def __init__(self, page: str, encode: Callable[[T], Mapping[str, Any]]) -> None:
+    def __init__(self, page: str, encode: Callable[[T], Iterable[Mapping[str, Any]]]) -> None:
         self._encode = encode
         self._queue: Queue[T] = Queue(_WAITING)
         self._messages: deque[bytes] = deque(maxlen=_KEPT)
@@ -81,15 +81,15 @@ class Broadcast(Generic[T]):
     def _work(self) -> None:
         while not (self._over.is_set() and self._queue.empty()):
             try:
-                message = plain(self._encode(self._queue.get(timeout=0.1)))
+                messages = [plain(one) for one in self._encode(self._queue.get(timeout=0.1))]
             except Empty:
                 continue
             except Exception as error:  # a fault of the picture is none of the loop's
                 logger.warning("the live page misses something: %s", error)
                 continue
             with self._news:
-                self._messages.append(json.dumps(message, separators=(",", ":")).encode())
-                self._sent += 1
+                self._messages.extend(json.dumps(one, separators=(",", ":")).encode() for one in messages)
+                self._sent += len(messages)
                 self._news.notify_all()
 
     def _stream(self, send: Callable[[bytes], None]) -> None:
@@ -146,7 +146,7 @@ class StatesShown(Broadcast[Happening]):
         heading: Heading,
     ) -> None:
         self._scene, self._next = scene, -np.inf
-        super().__init__(live_page(scene, ghosts, curves, STEP, heading), self._message)
+        super().__init__(live_page(scene, ghosts, curves, STEP, heading), lambda item: [self._message(item)])
 
     def due(self, time: float) -> bool:
         """Whether a frame is due at a time [s]; what lies between two frames is not shown."""

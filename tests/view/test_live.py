@@ -6,6 +6,8 @@ import json
 import socket
 import time
 import urllib.request
+from base64 import b64decode
+from dataclasses import replace
 from pathlib import Path
 from threading import Event
 
@@ -15,9 +17,13 @@ import pytest
 import amhe_cli as amhe
 from amhe_cli.cli.main import run
 from amhe_cli.core.curves import TimeCurve
+from amhe_cli.core.log import Window
+from amhe_cli.engine.open import open_engine
+from amhe_cli.estimation.online.horizon import MovingHorizon
 from amhe_cli.view.live import Broadcast, Happening, StatesShown
 from amhe_cli.view.page import Heading
 from amhe_cli.view.scene import scene_of
+from amhe_cli.view.windows import WindowsShown
 from tests.view.browser import browser, needs_chromium
 
 
@@ -33,7 +39,7 @@ def messages(address: str, count: int) -> list[dict]:
 
 
 def test_items_arrive_in_their_order_also_at_a_viewer_that_comes_late() -> None:
-    with Broadcast("<p>", lambda item: {"item": item}) as shown:
+    with Broadcast("<p>", lambda item: [{"item": item}]) as shown:
         for item in range(20):
             shown.put(item)
         assert [m["item"] for m in messages(shown.server.address, 20)] == list(range(20))
@@ -43,7 +49,7 @@ def test_items_arrive_in_their_order_also_at_a_viewer_that_comes_late() -> None:
 
 def test_a_loop_never_waits_where_drawing_hangs() -> None:
     free = Event()
-    with Broadcast("<p>", lambda item: (free.wait(30.0) and {"item": item}) or {}) as shown:
+    with Broadcast("<p>", lambda item: [{"item": item}] if free.wait(30.0) else []) as shown:
         begun = time.perf_counter()
         for item in range(10_000):
             shown.put(item)
@@ -52,8 +58,8 @@ def test_a_loop_never_waits_where_drawing_hangs() -> None:
 
 
 def test_a_fault_of_the_picture_is_a_warning(caplog: pytest.LogCaptureFixture) -> None:
-    def faulty(item: int) -> dict[str, float]:
-        return {"item": 1 / item}
+    def faulty(item: int) -> list[dict[str, float]]:
+        return [{"item": 1 / item}]
 
     with Broadcast("<p>", faulty) as shown:
         shown.put(0)
@@ -63,7 +69,7 @@ def test_a_fault_of_the_picture_is_a_warning(caplog: pytest.LogCaptureFixture) -
 
 
 def test_viewers_that_leave_or_hang_change_nothing() -> None:
-    with Broadcast("<p>", lambda item: {"item": item, "long": "x" * 100_000}) as shown:
+    with Broadcast("<p>", lambda item: [{"item": item, "long": "x" * 100_000}]) as shown:
         host, port = shown.server.address.removeprefix("http://").rstrip("/").split(":")
         request = f"GET /stream HTTP/1.1\r\nHost: {host}:{port}\r\n\r\n".encode()
         hanging = socket.create_connection((host, int(port)))
@@ -127,3 +133,30 @@ def test_the_page_follows_what_happens(tmp_path: Path) -> None:
         one.run("player.seek(0); document.getElementById('next').click()")
         assert one.run("player.now") == pytest.approx(0.8)
     assert one.requests[:2] == [page.server.address, f"{page.server.address}stream"]
+
+
+@pytest.mark.medium
+def test_a_window_is_shown_with_what_two_beliefs_predict_of_it() -> None:
+    system = amhe.System.load("pendulum")
+    log = amhe.read_log("example:pendulum", system)
+    truth = json.loads(log.metadata["truth"])
+    true = np.array([truth[name] for name in system.space.names])
+    window = Window(log, 1000, round(0.5 / log.dt))
+    estimator = MovingHorizon(system, open_engine(system), np.random.default_rng(0))
+    end = window.stop * log.dt
+    estimate = replace(
+        estimator.update(window, end), theta=true, lower=0.9 * true, upper=1.1 * true, mark="jump"
+    )
+    wrong = true * [2.0, 1.0, 1.0, 1.0]
+    with WindowsShown(system, wrong, "a test") as shown:
+        shown.put((window, estimate))
+        *frames, last = messages(shown.server.address, round(0.5 / 0.04) + 2)
+    assert last["event"] and last["time"] == pytest.approx(end)
+    assert last["numbers"]["load_mass"] == pytest.approx([true[0], 0.9 * true[0], 1.1 * true[0]])
+    times = [frame["time"] for frame in frames]
+    assert times[0] == pytest.approx(window.start * log.dt)
+    np.testing.assert_allclose(np.diff(times), 0.04, atol=1e-9)
+    measured, before, now = (
+        np.array([np.frombuffer(b64decode(frame["poses"][i]), "<f4") for frame in frames]) for i in range(3)
+    )
+    assert np.abs(now - measured).max() < 0.03 < np.abs(before - measured).max()

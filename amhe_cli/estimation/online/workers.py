@@ -66,6 +66,41 @@ class Worker(Protocol):
         ...
 
 
+class SeenWorker:
+    """A worker whose windows and estimates somebody looks at.
+
+    Args:
+        worker: Runs the estimator.
+        look: Called with each window and its estimate; it returns at once.
+    """
+
+    def __init__(self, worker: Worker, look: Callable[[Window, Estimate], None]) -> None:
+        self._worker, self._look = worker, look
+        self._window: Window | None = None
+
+    @property
+    def ready(self) -> bool:
+        """See `Worker`."""
+        return self._worker.ready
+
+    def submit(self, window: Window, at: float) -> None:
+        """See `Worker`."""
+        self._window = window
+        self._worker.submit(window, at)
+
+    def poll(self, now: float) -> tuple[News, ...]:
+        """See `Worker`."""
+        news = self._worker.poll(now)
+        for each in news:
+            if isinstance(each, Estimate) and self._window is not None:
+                self._look(self._window, each)
+        return news
+
+    def close(self) -> None:
+        """See `Worker`."""
+        self._worker.close()
+
+
 class InStep:
     """Updates at once, for simulations in lock-step: every run is the same, to the bit.
 
