@@ -6,7 +6,7 @@ States and truths are of the robot's own type: the loop passes them on and reads
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -56,29 +56,6 @@ class Cycle:
         return self.estimate.time
 
 
-class Observer(Protocol):
-    """Estimates the robot's state from measurements."""
-
-    def update(self, time: float, measured: Samples) -> Any:
-        """The state at a time [s], from the measurements since the last call."""
-        ...
-
-
-class CycleSampler(Protocol):
-    """Makes the samples of each cycle that are worth recording."""
-
-    def take(self, measured: Samples, estimate: Any, played: FloatArray, plan: Plan) -> Samples:
-        """The samples of one cycle; call it once for each, in their order.
-
-        Args:
-            measured: Measurements since the cycle before.
-            estimate: State estimated from it.
-            played: Joint targets in force meanwhile [rad], shape (n,).
-            plan: The plan made from that state.
-        """
-        ...
-
-
 class BeliefSource(Protocol):
     """The parameters that the controller plans with."""
 
@@ -114,18 +91,18 @@ class Episode:
 
     Args:
         target: Robot or simulation that is controlled.
-        observer: Estimates the state of the target.
+        observe: Gives the state at a time [s] from the measurements since the last call.
         controller: Makes the plans.
         belief: Gives the parameters that the controller plans with.
-        sampler: Makes the samples for log and estimator.
+        sample: Gives the samples for log and estimator, from the measurements of a cycle and its estimate.
         judge: Says when the episode is over.
     """
 
     target: Target
-    observer: Observer
+    observe: Callable[[float, Samples], Any]
     controller: Controller
     belief: BeliefSource
-    sampler: CycleSampler
+    sample: Callable[[Samples, Any], Samples]
     judge: EpisodeJudge
 
     def cycles(self) -> Iterator[Cycle]:
@@ -141,7 +118,7 @@ class Episode:
             begun, due = time.perf_counter(), self.target.deadline
             if due is not None:
                 due -= aside  # what is done after a plan must not take the time of the next
-            estimate = self.observer.update(now, measured)
+            estimate = self.observe(now, measured)
             played = self.target.in_force(now)
             belief = self.belief.at(now)
             plan = self.controller.plan(estimate, played, belief, due)
@@ -153,7 +130,7 @@ class Episode:
             truth = self.target.truth
             over = self.judge.watch(truth or estimate)
             cycle = Cycle(
-                self.sampler.take(measured, estimate, played, plan), estimate, played, plan, belief,
+                self.sample(measured, estimate), estimate, played, plan, belief,
                 truth, self.target.parameters, plan_ms, self.target.misses, over, hurried,
                 news,
             )  # fmt: skip

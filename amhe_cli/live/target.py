@@ -48,7 +48,10 @@ class Target(Protocol):
         ...
 
     def measure(self) -> tuple[float, Samples]:
-        """Wait for the end of the next period; its time [s], and the measurements since the last call."""
+        """Wait for the end of the next period; its time [s], and the measurements since the last call.
+
+        Among them is `command.position`: the joint targets that were followed, and since when.
+        """
         ...
 
 
@@ -120,12 +123,15 @@ class SimTarget:
         Raises:
             SimulationError: The plant diverged.
         """
-        parts = [self._advance() for _ in range(self._periods_gone())]
+        parts, times = [], []
+        for _ in range(self._periods_gone()):
+            parts.append(self._plant.advance(self._plan.at(self._plant.time), self._period))
+            times.append(self._plant.time)
+        missed = [self._plan.at(time) for time in times[:-1]]  # those periods begin without a new plan
         self._plan = self._next
-        return self._plant.time, merged(parts)
-
-    def _advance(self) -> Samples:
-        return self._plant.advance(self._plan.at(self._plant.time), self._period)
+        now = times[-1]
+        commands = np.array(times), np.array([*missed, self._plan.at(now)])
+        return now, {**merged(parts), "command.position": commands}
 
     def _periods_gone(self) -> int:
         """Periods to play now: one, or as many as the wall clock says; sleeps to the end of them."""

@@ -12,7 +12,7 @@ import pytest
 
 from amhe_cli.cli.main import run
 from amhe_cli.core.rotations import exp, multiply
-from amhe_cli.robots.go1.poses.calibration import offset_of
+from amhe_cli.robots.go1.link.calibration import offset_of
 from tests.robots.go1.emulator.emulating import Emulated, emulating
 
 ROOT = Path(__file__).parents[2]

@@ -10,13 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from amhe_cli.control.controller import Plan
 from amhe_cli.core.belief import belief_of
 from amhe_cli.core.log import Window
 from amhe_cli.estimation.online.buffer import Buffer
 from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.estimation.online.workers import InProcess
-from amhe_cli.live.commands import Commands
 from amhe_cli.live.episode import Cycle
 from amhe_cli.logs import read_log
 from amhe_cli.robots.go1.kinematics import JOINTS
@@ -99,22 +97,6 @@ def test_the_buffer_holds_what_the_log_holds(adaptive: tuple[Path, list[Cycle]])
             # a sample halfway between two steps may count for either
             assert live.sampled[ours].sum() == pytest.approx(logged.sampled[theirs].sum(), abs=1), key
             np.testing.assert_allclose(live.values[ours], logged.values[theirs], atol=1e-9, err_msg=key)
-
-
-def test_targets_that_a_robot_was_sent_are_taken_in_place_of_those_planned() -> None:
-    """A late plan begins late: what was sent is what the model must be driven with."""
-    commands, stand = Commands(0.02), np.zeros(3)
-    parts = []
-    for cycle in range(1, 11):
-        sent = 0.02 * (cycle - 1) + 0.002 * np.arange(1, 11)
-        plan = Plan(0.02 * (cycle + 1), 0.02, stand[None])
-        parts.append(commands.take(0.02 * cycle, stand, plan, (sent, np.tile(sent[:, None], 3))))
-    times, values = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    assert values.shape == (times.size, 3)
-    assert len(times) > 40, "every 4 ms, not every 20 ms"
-    np.testing.assert_allclose(np.diff(times), 0.004, atol=1e-9, err_msg="on the steps of the reader's clock")
-    # each is held for 4 ms: it is what was followed in the middle of them, not at their beginning
-    np.testing.assert_allclose(values[1:, 0], times[1:] + 0.002, atol=1e-6)
 
 
 def test_the_estimator_begins_with_what_the_controller_believes() -> None:

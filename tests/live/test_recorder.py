@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.samples import merged
-from amhe_cli.live.commands import Commands
 from amhe_cli.live.recorder import WALL_CLOCK, Recorder
 from amhe_cli.logs import inspect_log, read_log, read_metadata, survey
 from amhe_cli.robots.go1.kinematics import JOINTS
@@ -111,17 +110,6 @@ def test_a_seed_gives_the_same_log_whatever_the_threads(log, tmp_path: Path) -> 
     assert set(first) == set(again)
     for topic in set(first) - set(WALL_CLOCK):
         assert first[topic] == again[topic], topic
-
-
-def test_commands_of_missed_periods_are_those_that_were_played(log) -> None:
-    """Leave out a cycle: its command is taken from the plan that was in force."""
-    cycles, commands = log[1], Commands(0.02)
-    late = [*cycles[:5], *cycles[6:10]]
-    taken = [commands.take(cycle.time, cycle.played, cycle.plan, None) for cycle in late]
-    times, targets = (np.concatenate(arrays) for arrays in zip(*taken, strict=True))
-    assert np.diff(times) == pytest.approx(0.02) and len(times) == 10
-    np.testing.assert_array_equal(targets[5], cycles[3].plan.at(cycles[5].time))
-    np.testing.assert_array_equal(targets[6], cycles[6].played)
 
 
 def test_a_log_that_breaks_off_is_whole(log, tmp_path: Path) -> None:

@@ -149,6 +149,9 @@ def test_who_is_slow_finds_that_time_has_gone_on(clock: Clock) -> None:
     )
     np.testing.assert_allclose(measured["box.position"][0], start + PERIOD * np.array([1.0, 2.0, 3.0]))
     assert [value for _, value in plant.played[-3:]] == [10.0, 11.0, 12.0]
+    times, commands = measured["command.position"]
+    np.testing.assert_allclose(times, start + PERIOD * np.array([1.0, 2.0, 3.0]))
+    assert commands[:, 0].tolist() == [11.0, 12.0, 22.0], "what was followed since then, and is followed now"
     target.measure()
     assert plant.played[-1][1] == 22.0, "the late plan is played from where it should be by now"
     assert target.misses == 2, "one late plan is counted once"

@@ -29,6 +29,8 @@ BOX_FRICTION = 0.5
 #: Torsional and rolling friction of a pair; they act from condim 4 and 6.
 _SPIN, _ROLL = 0.005, 0.0001
 _PREFIX = "robot/"
+#: Position control of the joints: torque = KP (target - q) - KD dq, in addition to the joints' own damping.
+KP, KD = 60.0, 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,19 +50,6 @@ class Box:
     floor_friction: float = 0.4
     position: tuple[float, float] = (0.6, 0.0)
     yaw: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Servo:
-    """Position control of the joints: torque = kp (target - q) - kd dq, within the torque limits.
-
-    Args:
-        kp: Gain [N m/rad].
-        kd: Damping [N m s/rad], in addition to that of the joints themselves.
-    """
-
-    kp: float = 60.0
-    kd: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,8 +84,8 @@ def layout(model: mujoco.MjModel) -> ModelLayout:
     )  # fmt: skip
 
 
-def planner_model(box: Box = Box(), servo: Servo = Servo(), timestep: float = 0.01) -> mujoco.MjModel:
-    """The planner's model: the pruned `scene.xml`, with this box, servo and time step [s].
+def planner_model(box: Box = Box(), timestep: float = 0.01) -> mujoco.MjModel:
+    """The planner's model: the pruned `scene.xml`, with this box and time step [s].
 
     Pyramidal friction and joints without dry friction halve the cost of a step. The pyramid makes a box that
     slides at 45 degrees to the axes rub 0.7 times as much; on the robot's short horizon that matters little
@@ -112,18 +101,15 @@ def planner_model(box: Box = Box(), servo: Servo = Servo(), timestep: float = 0.
     _set_box(spec, box)
     spec.pair(FLOOR_PAIR).friction[:2] = box.floor_friction
     for name in SERVOS:
-        _set_servo(spec.actuator(name), servo)
+        spec.actuator(name).set_to_position(kp=KP, kv=KD)
     return compiled(spec)
 
 
-def plant_model(
-    box: Box = Box(), servo: Servo = Servo(), robot: Path | None = None, timestep: float = 0.002
-) -> mujoco.MjModel:
+def plant_model(box: Box = Box(), robot: Path | None = None, timestep: float = 0.002) -> mujoco.MjModel:
     """The plant: all collision shapes of the robot against floor, box and each other.
 
     Args:
         box: The box, with its true parameters.
-        servo: Position control; torque limits are the Go1's.
         robot: MJCF of any Go1, in place of ours. Its own actuators, sensors, floor and lights are left out;
             its joints' damping, softness on the floor and self-collisions are kept.
         timestep: Time step [s].
@@ -142,7 +128,7 @@ def plant_model(
     _add_robot(spec, read_robot(ours if robot is None else robot), self_collisions=robot is None)
     if spec.geom(_PREFIX + "bumper_high") is None:
         _add_bumper(spec, read_spec(ours))
-    _add_servos(spec, servo)
+    _add_servos(spec)
     _add_pairs(spec, box)
     return compiled(spec)
 
@@ -215,17 +201,13 @@ def _add_bumper(spec: mujoco.MjSpec, ours: mujoco.MjSpec) -> None:
             )  # fmt: skip
 
 
-def _add_servos(spec: mujoco.MjSpec, servo: Servo) -> None:
+def _add_servos(spec: mujoco.MjSpec) -> None:
     for i, (name, joint) in enumerate(zip(SERVOS, JOINTS, strict=True)):
         actuator = spec.add_actuator(name=name, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        _set_servo(actuator, servo)
+        actuator.set_to_position(kp=KP, kv=KD)
         actuator.ctrllimited = actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
         actuator.ctrlrange = [LOWER[i], UPPER[i]]
         actuator.forcerange = [-TORQUE_LIMIT[i], TORQUE_LIMIT[i]]
-
-
-def _set_servo(actuator: mujoco.MjsActuator, servo: Servo) -> None:
-    actuator.set_to_position(kp=servo.kp, kv=servo.kd)
 
 
 def _add_pairs(spec: mujoco.MjSpec, box: Box) -> None:

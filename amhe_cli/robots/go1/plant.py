@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -14,33 +13,13 @@ from amhe_cli.core.errors import SimulationError
 from amhe_cli.core.samples import Samples
 from amhe_cli.engine.contacts import contact_forces
 from amhe_cli.robots.go1.model import FLOOR_PAIR, Change, home, layout
-from amhe_cli.robots.go1.state import GRAVITY, State, state_of
+from amhe_cli.robots.go1.state import GRAVITY, SensorNoise, State, state_of
 
 #: Specific force that an accelerometer measures at rest [m/s^2].
 _UPHELD = np.array([0.0, 0.0, GRAVITY])
 
 
-@dataclass(frozen=True, slots=True)
-class SensorNoise:
-    """White noise of the sensors (sd), and the period of motion capture.
-
-    Args:
-        position: Noise of measured positions [m].
-        orientation: Noise of measured orientations, about each axis [rad].
-        joint: Noise of joint angles [rad].
-        joint_rate: Noise of joint velocities [rad/s].
-        gyro: Noise of the gyro [rad/s].
-        accelerometer: Noise of the accelerometer [m/s^2].
-        pose_period: Time between two poses [s].
-    """
-
-    position: float = 0.002
-    orientation: float = float(np.deg2rad(0.5))
-    joint: float = 0.003
-    joint_rate: float = 0.05
-    gyro: float = 0.02
-    accelerometer: float = 0.1
-    pose_period: float = 0.01
+_NOISE = SensorNoise()
 
 
 class Plant:
@@ -59,7 +38,7 @@ class Plant:
         model: mujoco.MjModel,
         changes: Sequence[Change],
         rng: np.random.Generator,
-        noise: SensorNoise = SensorNoise(),
+        noise: SensorNoise = _NOISE,
         start: FloatArray | None = None,
     ) -> None:
         self.model, self._data, self._at = model, mujoco.MjData(model), layout(model)
@@ -74,6 +53,11 @@ class Plant:
     def time(self) -> float:
         """Time since the start [s]."""
         return self._steps * self.model.opt.timestep
+
+    @property
+    def task_time(self) -> float:
+        """Time by which changes are due [s]."""
+        return self.time
 
     @property
     def state(self) -> State:
@@ -113,7 +97,7 @@ class Plant:
             robot.append(self._robot_sample(velocity))
             if self._steps % self._pose_every == 0:
                 poses.append(self._pose_sample())
-        return {**_samples(_NOTHING_OWN, robot), **_samples(_NOTHING_SEEN, poses)}
+        return {**_samples(_OWN, robot), **_samples(_SEEN, poses)}
 
     def _step(self) -> None:
         mujoco.mj_step(self.model, self._data)
@@ -122,7 +106,7 @@ class Plant:
         if any(self._data.warning[kind].number for kind in _FATAL) or not np.isfinite(self._data.qpos).all():
             raise SimulationError(f"the plant diverged at {self.time:.3f} s: its state is not a number")
         box_x = float(self._data.qpos[self._at.box][0])
-        for change in [change for change in self._pending if change.due(self.time, box_x)]:
+        for change in [change for change in self._pending if change.due(self.task_time, box_x)]:
             change.apply(self.model)
             self._pending.remove(change)
 
@@ -155,12 +139,13 @@ class Plant:
         return sd * self._rng.standard_normal(size)
 
 
-def _samples(nothing: Samples, rows: list[tuple[object, ...]]) -> Samples:
+def _samples(widths: Mapping[str, int], rows: list[tuple[object, ...]]) -> Samples:
     """Rows of a time and a value for each key, as samples of these keys."""
-    if not rows:
-        return nothing
-    times, *columns = (np.array(column) for column in zip(*rows, strict=True))
-    return {key: (times, values) for key, values in zip(nothing, columns, strict=True)}
+    times, *columns = zip(*rows, strict=True) if rows else [()] * (1 + len(widths))
+    return {
+        key: (np.array(times, dtype=np.float64), np.array(column).reshape(-1, width))
+        for (key, width), column in zip(widths.items(), columns, strict=True)
+    }
 
 
 _FATAL = (
@@ -168,17 +153,6 @@ _FATAL = (
     mujoco.mjtWarning.mjWARN_BADQVEL,
     mujoco.mjtWarning.mjWARN_BADQACC,
 )
-_NO_TIMES = np.empty(0)
-#: Empty samples of the robot's own sensors, and of the cameras.
-_NOTHING_OWN: Samples = {
-    "joints.position": (_NO_TIMES, np.empty((0, 12))),
-    "joints.velocity": (_NO_TIMES, np.empty((0, 12))),
-    "imu.angular_velocity": (_NO_TIMES, np.empty((0, 3))),
-    "imu.linear_acceleration": (_NO_TIMES, np.empty((0, 3))),
-}
-_NOTHING_SEEN: Samples = {
-    "trunk.position": (_NO_TIMES, np.empty((0, 3))),
-    "trunk.orientation": (_NO_TIMES, np.empty((0, 4))),
-    "box.position": (_NO_TIMES, np.empty((0, 3))),
-    "box.orientation": (_NO_TIMES, np.empty((0, 4))),
-}
+#: Samples of the robot's own sensors, and of the cameras: how many numbers each has.
+_OWN = {"joints.position": 12, "joints.velocity": 12, "imu.angular_velocity": 3, "imu.linear_acceleration": 3}
+_SEEN = {"trunk.position": 3, "trunk.orientation": 4, "box.position": 3, "box.orientation": 4}

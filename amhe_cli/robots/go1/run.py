@@ -127,14 +127,27 @@ def open_run(options: RunOptions, task: Task | None = None) -> Run:
     model = plant_model(_moved(task, start), robot=options.plant)
     plant = Plant(model, task.changes, sensors, start=_start(home(model), layout(model).trunk, start))
     target = SimTarget(plant, settings.period, HOME, settings.realtime)
+    return run_on(options, task, system, target, plant, samples, options.threads)
+
+
+def run_on(
+    options: RunOptions,
+    task: Task,
+    system: System,
+    target: Target,
+    plant: Plant | None,
+    samples: np.random.Generator,
+    threads: int,
+    slow: float = 1.0,
+) -> Run:
+    """A run of a task on a target; arguments as of `Run`, `controller_for` and `belief_source`."""
     behaviour = task.behaviour()
-    controller = controller_for(task, behaviour, system, samples, options.threads, options.engine)
-    judge = Judge(task, behaviour.running_cost, settings.period, options.duration)
-    belief = belief_source(options, task, system, plant)
-    episode = Episode(
-        target, StateEstimator(behaviour.standing), controller, belief, Sampler(settings.period), judge
-    )
-    return Run(options, task, system, episode, target, plant, judge, plant.parameters)
+    controller = controller_for(task, behaviour, system, samples, threads, options.engine)
+    judge = Judge(task, behaviour.running_cost, settings_of(system).control.period, options.duration)
+    belief = belief_source(options, task, system, plant, slow)
+    observe = StateEstimator(behaviour.standing).update
+    episode = Episode(target, observe, controller, belief, Sampler(), judge)
+    return Run(options, task, system, episode, target, plant, judge, plant.parameters if plant else {})
 
 
 def measured(task: Task) -> dict[str, Any]:

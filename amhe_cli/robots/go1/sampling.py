@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from amhe_cli.control.controller import Plan
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.samples import Samples, Thinner, since
-from amhe_cli.live.commands import Commands
 from amhe_cli.robots.go1.state import Body, State
 
 #: Time between two samples of joints and IMU [s].
@@ -22,26 +20,22 @@ class Sampler:
     The robot's own samples are thinned: 500 Hz of twelve joints are most of a log, and an identification
     learns little from them. Nothing is older than the first command: then the clock of our reader, which
     starts at the first sample, meets every command on a step of its own.
-
-    Args:
-        period: Control period [s].
     """
 
-    def __init__(self, period: float) -> None:
-        self._thinner, self._commands = Thinner(SAMPLE_PERIOD), Commands(period)
+    def __init__(self) -> None:
+        self._thinner = Thinner(SAMPLE_PERIOD)
         self._last: State | None = None
 
-    def take(self, measured: Samples, estimate: State, played: FloatArray, plan: Plan) -> Samples:
-        """See `CycleSampler`."""
+    def __call__(self, measured: Samples, estimate: State) -> Samples:
+        """The samples of one cycle, from its measurements and its estimate; once for each, in order."""
         own = self._thinner.thinned({key: measured[key] for key in _OWN})
         seen = {key: series for key, series in measured.items() if key.startswith(("trunk.", "box."))}
+        commands = {"command.position": measured["command.position"]}
         begun = -np.inf if self._last else estimate.time - 1e-6
         samples = {
             **since(own, begun),
             **self._with_twists(since(seen, begun), estimate),
-            "command.position": self._commands.take(
-                estimate.time, played, plan, measured.get("command.position")
-            ),
+            **since(commands, begun),
         }
         self._last = estimate
         return {key: (times, _single(values)) for key, (times, values) in samples.items()}

@@ -21,6 +21,29 @@ from amhe_cli.robots.go1.model import ModelLayout
 GRAVITY = 9.81
 
 
+@dataclass(frozen=True, slots=True)
+class SensorNoise:
+    """White noise of the sensors (sd), and the period of motion capture.
+
+    Args:
+        position: Noise of measured positions [m].
+        orientation: Noise of measured orientations, about each axis [rad].
+        joint: Noise of joint angles [rad].
+        joint_rate: Noise of joint velocities [rad/s].
+        gyro: Noise of the gyro [rad/s].
+        accelerometer: Noise of the accelerometer [m/s^2].
+        pose_period: Time between two poses [s].
+    """
+
+    position: float = 0.002
+    orientation: float = float(np.deg2rad(0.5))
+    joint: float = 0.003
+    joint_rate: float = 0.05
+    gyro: float = 0.02
+    accelerometer: float = 0.1
+    pose_period: float = 0.01
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
     """Pose and twist of trunk or box; leading axes, where there are any, are those of time.
@@ -102,15 +125,7 @@ class Go1:
     at: ModelLayout
     sigma: FloatArray
 
-    @property
-    def lower(self) -> FloatArray:
-        """See `Robot`."""
-        return LOWER
-
-    @property
-    def upper(self) -> FloatArray:
-        """See `Robot`."""
-        return UPPER
+    lower, upper = LOWER, UPPER
 
     @property
     def servos(self) -> IntArray:

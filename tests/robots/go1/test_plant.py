@@ -14,7 +14,8 @@ from amhe_cli.core.errors import SimulationError
 from amhe_cli.core.samples import Samples, merged
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.model import Box, Change, home, layout, plant_model
-from amhe_cli.robots.go1.plant import Plant, SensorNoise
+from amhe_cli.robots.go1.plant import Plant
+from amhe_cli.robots.go1.state import SensorNoise
 
 SILENT = SensorNoise(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 #: None like another, so that none can stand in for another.

@@ -46,19 +46,13 @@ class Reference:
 
 
 @dataclass(frozen=True, slots=True)
-class PushWeights:
-    """Weights of the terms of walking and pushing; in 1 / (unit of the term)^2."""
+class Weights:
+    """Weights of the terms that all behaviours share; in 1 / (unit of the term)^2."""
 
     box_speed: float = 300.0
     """Weight of (box's speed along the heading - reference) [m/s]."""
-    robot_speed: float = 100.0
-    """Weight of (trunk's speed ahead in its own heading - reference) [m/s]."""
     box_left: float = 20.0
     """Weight of the box's distance from the line [m]."""
-    robot_left: float = 60.0
-    """Weight of the distance between the bumper's middle and the place where it should push [m]."""
-    yaw: float = 100.0
-    """Weight of the error of the robot's yaw [rad]."""
     box_yaw: float = 60.0
     """Weight of the error of the box's yaw [rad]."""
     height: float = 200.0
@@ -68,33 +62,48 @@ class PushWeights:
     box_tilt: float = 300.0
     """Weight of the sine of the box's roll and pitch."""
     knots: float = 0.5
-    """Weight of the knots: how far the joint targets leave the gait's [rad]."""
+    """Weight of the knots: how far the joint targets leave the behaviour's own [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
-class SweepWeights:
-    """Weights of the terms of pushing with one leg; in 1 / (unit of the term)^2."""
+class PushWeights(Weights):
+    """Weights of the terms of walking and pushing."""
 
-    box_speed: float = 300.0
-    """Weight of (box's speed along its path - reference) [m/s]."""
+    robot_speed: float = 100.0
+    """Weight of (trunk's speed ahead in its own heading - reference) [m/s]."""
+    robot_left: float = 60.0
+    """Weight of the distance between the bumper's middle and the place where it should push [m]."""
+    yaw: float = 100.0
+    """Weight of the error of the robot's yaw [rad]."""
+
+
+@dataclass(frozen=True, slots=True)
+class SweepWeights(Weights):
+    """Weights of the terms of pushing with one leg."""
+
+    box_left: float = 100.0
+    box_yaw: float = 20.0
     robot_speed: float = 20.0
     """Weight of the trunk's speed, which should be zero [m/s]."""
-    box_left: float = 100.0
-    """Weight of the box's distance from the line [m]."""
-    box_yaw: float = 20.0
-    """Weight of the error of the box's yaw [rad]."""
-    height: float = 200.0
-    """Weight of the error of the trunk's height [m]."""
-    tilt: float = 60.0
-    """Weight of the sine of the trunk's roll and pitch."""
-    box_tilt: float = 300.0
-    """Weight of the sine of the box's roll and pitch."""
     trunk_place: float = 1500.0
     """Weight of the trunk's distance from where it should lean to [m]; in plans only."""
     trunk_turn: float = 40.0
     """Weight of the error of the trunk's yaw against its lean [rad]; in plans only."""
-    knots: float = 0.5
-    """Weight of the knots: how far the joint targets leave the reference's [rad]."""
+
+
+def _shared_terms(
+    w: Weights, trunk: Body, box: Body, height: float, at: Reference, turned: FloatArray | float
+) -> dict[str, FloatArray]:
+    """Terms of all behaviours, each (..., H); `turned` [rad] is how far the references have turned."""
+    speed, drift = along_line(box, at, turned)
+    return {
+        "box_speed": at.pushing * w.box_speed * (speed - at.speed) ** 2,
+        "box_left": w.box_left * drift**2,
+        "box_yaw": w.box_yaw * wrapped(yaw_of(box.orientation) - at.box_yaw - turned) ** 2,
+        "height": w.height * (trunk.position[..., 2] - height) ** 2,
+        "tilt": w.tilt * tilt_squared(trunk.orientation),
+        "box_tilt": w.box_tilt * tilt_squared(box.orientation),
+    }
 
 
 def lean_terms(weights: SweepWeights, trunk: Body, lean: FloatArray) -> dict[str, FloatArray]:
@@ -110,17 +119,8 @@ def sweep_terms(
     weights: SweepWeights, trunk: Body, box: Body, height: float, at: Reference
 ) -> dict[str, FloatArray]:
     """Terms of pushing with one leg, each shape (..., H); arguments as of `push_terms`."""
-    w = weights
-    speed, drift = along_line(box, at, 0.0)
-    return {
-        "box_speed": at.pushing * w.box_speed * (speed - at.speed) ** 2,
-        "robot_speed": w.robot_speed * (trunk.velocity[..., :2] ** 2).sum(axis=-1),
-        "box_left": w.box_left * drift**2,
-        "box_yaw": w.box_yaw * wrapped(yaw_of(box.orientation) - at.box_yaw) ** 2,
-        "height": w.height * (trunk.position[..., 2] - height) ** 2,
-        "tilt": w.tilt * tilt_squared(trunk.orientation),
-        "box_tilt": w.box_tilt * tilt_squared(box.orientation),
-    }
+    still = weights.robot_speed * (trunk.velocity[..., :2] ** 2).sum(axis=-1)
+    return _shared_terms(weights, trunk, box, height, at, 0.0) | {"robot_speed": still}
 
 
 def push_terms(
@@ -144,18 +144,11 @@ def push_terms(
     turned = at.turn * elapsed
     robot_yaw = yaw_of(trunk.orientation)
     ahead = trunk.velocity[..., 0] * np.cos(robot_yaw) + trunk.velocity[..., 1] * np.sin(robot_yaw)
-    box_speed, drift = along_line(box, at, turned)
     _, left = bumper_from_box(trunk, box)
-    return {
-        "box_speed": at.pushing * w.box_speed * (box_speed - at.speed) ** 2,
+    return _shared_terms(w, trunk, box, height, at, turned) | {
         "robot_speed": w.robot_speed * (ahead - at.speed) ** 2,
-        "box_left": w.box_left * drift**2,
         "robot_left": w.robot_left * (left - at.offset) ** 2,
         "yaw": w.yaw * wrapped(robot_yaw - at.yaw - turned) ** 2,
-        "box_yaw": w.box_yaw * wrapped(yaw_of(box.orientation) - at.box_yaw - turned) ** 2,
-        "height": w.height * (trunk.position[..., 2] - height) ** 2,
-        "tilt": w.tilt * tilt_squared(trunk.orientation),
-        "box_tilt": w.box_tilt * tilt_squared(box.orientation),
     }
 
 

@@ -14,13 +14,13 @@ from amhe_cli.core.rotations import exp, multiply, rotate
 from amhe_cli.core.samples import Samples
 from amhe_cli.robots.go1.emulator.body import STEP, EmulatedBody
 from amhe_cli.robots.go1.emulator.faults import Faults
-from amhe_cli.robots.go1.emulator.motive import Motive, Seen
+from amhe_cli.robots.go1.emulator.motive import Motive
 from amhe_cli.robots.go1.emulator.robot_port import RobotPort, bound
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.command import MotorCommand
 from amhe_cli.robots.go1.link.wire import CrcForm
 from amhe_cli.robots.go1.poses import udp
-from amhe_cli.robots.go1.poses.calibration import NO_OFFSET, Offset, rigid_body
+from amhe_cli.robots.go1.poses.frame import NO_OFFSET, Offset, rigid_body
 from amhe_cli.robots.go1.poses.source import Pose
 from amhe_cli.robots.go1.tasks import Task
 
@@ -73,6 +73,7 @@ class Emulator:
         on_command: Is called with each command.
 
     Attributes:
+        body: The emulated robot and its box.
         lag: Total time by which the emulation has fallen behind the clock [s].
     """
 
@@ -86,7 +87,7 @@ class Emulator:
         with ExitStack() as opening:  # a port is given back where a later step fails
             self._port = opening.enter_context(closing(RobotPort(o.host, o.port, o.faults, o.crc)))
             self._cameras = opening.enter_context(closing(_cameras(o)))
-            self._body = EmulatedBody(o.task, np.random.default_rng(o.seed))
+            self.body = EmulatedBody(o.task, np.random.default_rng(o.seed))
             self._opened = opening.pop_all()
 
     def __enter__(self) -> Emulator:
@@ -106,11 +107,6 @@ class Emulator:
         return self._cameras.address
 
     @property
-    def body(self) -> EmulatedBody:
-        """The emulated robot and its box."""
-        return self._body
-
-    @property
     def counts(self) -> tuple[int, int]:
         """Commands accepted and datagrams rejected, so far."""
         return self._port.accepted, self._port.rejected
@@ -126,9 +122,9 @@ class Emulator:
         Raises:
             SimulationError: The simulation diverged.
         """
-        offset = self._clock.now() - self._body.time
+        offset = self._clock.now() - self.body.time
         while not stopped():
-            due = offset + self._body.time + STEP
+            due = offset + self.body.time + STEP
             late = self._clock.now() - due
             if late > _BEHIND:
                 offset += late
@@ -144,9 +140,9 @@ class Emulator:
             if self._on_command:
                 self._on_command(now, received)
             if self._driven_since is None and received.kp.max() > 0.0:
-                self._driven_since = self._body.time
-        state, measured = self._body.advance(self._port.command)
-        driven = -1.0 if self._driven_since is None else self._body.time - self._driven_since
+                self._driven_since = self.body.time
+        state, measured = self.body.obey(self._port.command)
+        driven = -1.0 if self._driven_since is None else self.body.time - self._driven_since
         faults = self._faults
         self._port.undisturbed = driven < faults.after
         if driven >= faults.stale:
@@ -175,21 +171,6 @@ class _Cameras:
     def close(self) -> None: ...
 
 
-class _NatNetCameras(_Cameras):
-    def __init__(self, options: EmulatorOptions) -> None:
-        self._motive = Motive(options.host, options.mocap_port, options.bodies)
-        self.address = self._motive.address
-
-    def serve(self, now: float) -> None:
-        self._motive.serve(now)
-
-    def show(self, poses: list[Pose], now: float) -> None:
-        self._motive.stream([Seen(*pose) for pose in poses], now)
-
-    def close(self) -> None:
-        self._motive.close()
-
-
 class _UdpCameras(_Cameras):
     def __init__(self, options: EmulatorOptions) -> None:
         self._socket = bound(options.host, 0)
@@ -206,9 +187,10 @@ class _UdpCameras(_Cameras):
         self._socket.close()
 
 
-def _cameras(options: EmulatorOptions) -> _Cameras:
-    kinds = {"natnet": _NatNetCameras, "udp": _UdpCameras}
-    return kinds[options.mocap](options) if options.mocap in kinds else _Cameras()
+def _cameras(options: EmulatorOptions) -> _Cameras | Motive:
+    if options.mocap == "natnet":
+        return Motive(options.host, options.mocap_port, options.bodies)
+    return _UdpCameras(options) if options.mocap == "udp" else _Cameras()
 
 
 def _seen(measured: Samples, faults: Faults, offsets: tuple[Offset, Offset]) -> list[Pose]:

@@ -9,12 +9,11 @@ from __future__ import annotations
 import struct
 from collections import deque
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray
 from amhe_cli.robots.go1.emulator.robot_port import bound
+from amhe_cli.robots.go1.poses.source import Pose
 
 #: Messages of NatNet.
 _CONNECT, _SERVER_INFO, _REQUEST_MODELS, _MODELS, _FRAME, _KEEP_ALIVE = 0, 1, 4, 5, 7, 10
@@ -23,21 +22,8 @@ _FORGOTTEN = 10.0
 _CLOCK_HZ = 10_000_000
 _DATA_PORT = 1511
 _RIGID_BODY = 1
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Seen:
-    """A rigid body in one frame.
-
-    Args:
-        position: Position of the body's origin [m], shape (3,).
-        orientation: Unit quaternion w, x, y, z, shape (4,).
-        valid: Whether it was tracked.
-    """
-
-    position: FloatArray
-    orientation: FloatArray
-    valid: bool = True
+#: Pose of a body that is not seen.
+_NOWHERE = np.zeros(3), np.zeros(4)
 
 
 class Motive:
@@ -71,8 +57,8 @@ class Motive:
         while self._waiting and self._waiting[0][0] <= now:
             self._transmit(self._waiting.popleft()[1], now)
 
-    def stream(self, bodies: Sequence[Seen], now: float) -> None:
-        """Take a frame, exposed at a time [s]; `serve` sends it once its latency is over."""
+    def show(self, bodies: Sequence[Pose | None], now: float) -> None:
+        """Take a frame, exposed at a time [s], with bodies that are not seen as None; `serve` sends it."""
         self._number += 1
         self._waiting.append((now + self._latency, self._frame(bodies, now)))
 
@@ -120,12 +106,11 @@ class Motive:
             parts += [struct.pack("<I", _RIGID_BODY), self._size(model), model]
         return _message(_MODELS, b"".join(parts))
 
-    def _frame(self, bodies: Sequence[Seen], now: float) -> bytes:
+    def _frame(self, bodies: Sequence[Pose | None], now: float) -> bytes:
         records = [
-            struct.pack(
-                "<I3f4ffH", number, *body.position, *np.roll(body.orientation, -1), 0.0002, int(body.valid)
-            )
+            struct.pack("<I3f4ffH", number, *place, *np.roll(turn, -1), 0.0002, int(body is not None))
             for number, body in enumerate(bodies, start=1)
+            for place, turn in [body or _NOWHERE]
         ]
         exposed, sent = int(now * _CLOCK_HZ), int((now + self._latency) * _CLOCK_HZ)
         sections: list[Iterable[bytes]] = [[], [], records, [], *([[]] if self._sized else []), [], [], []]

@@ -7,16 +7,16 @@ one has died, however it died: in this way a sender watches its parent.
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import os
+import pickle
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from amhe_cli.robots.go1.link.wire import LinkError
 
@@ -27,7 +27,7 @@ _LONGEST = 65536
 
 
 class Pipe:
-    """One end of a pipe between parent and child.
+    """One end of a pipe between parent and child, which carries Python objects.
 
     Attributes:
         open: Whether the other side is alive.
@@ -38,15 +38,15 @@ class Pipe:
         self._end = end
         self.open = True
 
-    def send(self, message: bytes) -> bool:
+    def send(self, message: object) -> bool:
         """Hand a message over; False where the other side is gone, or so far behind that it is dropped."""
         try:
-            self._end.send(message)
+            self._end.send(pickle.dumps(message))
         except OSError:  # what it sent before it ended can still be read
             return False
         return True
 
-    def received(self) -> Iterator[bytes]:
+    def received(self) -> Iterator[Any]:
         """All messages that have arrived since the last call."""
         while self.open:
             try:
@@ -60,7 +60,7 @@ class Pipe:
             if not message:
                 self.open = False
                 return
-            yield message
+            yield pickle.loads(message)
 
     def close(self) -> None:
         """Close this end: the other side sees it."""
@@ -68,16 +68,32 @@ class Pipe:
         self.open = False
 
 
+class Opened:
+    """A context manager of several parts: what is open is closed again where a later part fails to open."""
+
+    def __enter__(self) -> Self:
+        with ExitStack() as opening:
+            self._open(opening)
+            self._opened = opening.pop_all()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._opened.__exit__(*error)
+
+    def _open(self, opening: ExitStack) -> None:
+        raise NotImplementedError
+
+
 class Child:
     """A module run by a Python of its own, in a session of its own: keys of a terminal do not suspend it.
 
     Args:
-        module: Dotted name of the module; its `main` gets a pipe and the settings from `begun`.
-        settings: Settings for the child, as plain values.
+        module: Dotted name of the module; its `main` gets a pipe and what it is given from `begun`.
+        given: What the child is to know.
         files: Descriptors that the child may use, by the same numbers: from 3 on, 0 to 2 are its own streams.
     """
 
-    def __init__(self, module: str, settings: Mapping[str, Any], files: Sequence[int] = ()) -> None:
+    def __init__(self, module: str, given: object, files: Sequence[int] = ()) -> None:
         try:
             ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         except OSError as error:
@@ -85,13 +101,13 @@ class Child:
         with theirs, ExitStack() as opening:
             opening.enter_context(ours)
             self.process = subprocess.Popen(
-                [sys.executable, "-m", module, str(theirs.fileno())],
+                [sys.executable, "-c", f"from {module} import main; main()", str(theirs.fileno())],
                 pass_fds=(theirs.fileno(), *files), stdin=subprocess.DEVNULL, stdout=sys.__stderr__,
                 env=_environment(), start_new_session=True,
             )  # fmt: skip
             opening.pop_all()  # ours stays open
         self.pipe = Pipe(ours)
-        self.pipe.send(json.dumps(settings).encode())
+        self.pipe.send(given)
 
     def end(self, patience: float) -> None:
         """Close the pipe, wait so long [s] for the child to end by itself, then kill it."""
@@ -109,14 +125,14 @@ def _environment() -> dict[str, str]:
     return os.environ | {"PYTHONPATH": os.pathsep.join([ours, *filter(None, [os.environ.get("PYTHONPATH")])])}
 
 
-def begun() -> tuple[Pipe, dict[str, Any]]:
-    """The child's pipe and its settings; to be called in the child."""
+def begun() -> tuple[Pipe, Any]:
+    """The child's pipe, and what it was given; to be called in the child."""
     end = socket.socket(fileno=int(sys.argv[1]))
     end.settimeout(10.0)
     first = end.recv(_LONGEST)
     if not first:
         raise LinkError("the parent has gone")
-    return Pipe(end), json.loads(first)
+    return Pipe(end), pickle.loads(first)
 
 
 def take_priority(level: int, anywhere: bool = False, longest: float = math.inf) -> bool:

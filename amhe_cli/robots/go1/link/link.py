@@ -9,11 +9,10 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
-from types import TracebackType
 from typing import Any
 
-from amhe_cli.robots.go1.link import mail, wire
-from amhe_cli.robots.go1.link.child import Child
+from amhe_cli.robots.go1.link import wire
+from amhe_cli.robots.go1.link.child import Child, Opened
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.mail import Phase, SenderReport
 from amhe_cli.robots.go1.link.motion import Targets
@@ -30,7 +29,7 @@ _HIGH_LEVEL = 1087
 _START, _STEP = 20.0, 0.005
 
 
-class Link:
+class Link(Opened):
     """A robot at the end of a wire; use it as a context manager: whatever happens, the robot is let down.
 
     Args:
@@ -44,34 +43,22 @@ class Link:
         self._where, self._settings, self._clock, self._keys = (host, port), settings, clock, keys
         self._child: Child | None = None
         self._watch: SenderWatch | None = None
-        self._opened = ExitStack()
 
-    def __enter__(self) -> Link:
-        with ExitStack() as opening:
-            robot = opening.enter_context(closing(connected(*self._where)))
-            incoming, outgoing = opening.enter_context(_nonblocking_pipe())
-            with _as_file(self._keys) as keys:
-                given = {
-                    "robot": robot.fileno(), "signals": incoming, "keys": max(keys, default=-1),
-                    "slow": self._clock.slow, "settings": self._settings.model_dump(),
-                }  # fmt: skip
-                files = [robot.fileno(), incoming, *keys]
-                self._child = Child("amhe_cli.robots.go1.link.sender", given, files)
-            opening.callback(self._child.end, 5.0 * self._clock.slow)
-            self._watch = SenderWatch(self._child, robot, self._settings, self._clock)
-            opening.callback(self._watch.close)
-            if threading.current_thread() is threading.main_thread():
-                # the signal itself informs the sender, even while our thread is deep in a rollout
-                before = signal.set_wakeup_fd(outgoing, warn_on_full_buffer=False)
-                opening.callback(signal.set_wakeup_fd, before)
-            opening.callback(self.finish)
-            self._opened = opening.pop_all()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._opened.__exit__(kind, error, trace)
+    def _open(self, opening: ExitStack) -> None:
+        robot = opening.enter_context(closing(connected(*self._where)))
+        incoming, outgoing = opening.enter_context(_nonblocking_pipe())
+        with _as_file(self._keys) as keys:
+            files = [robot.fileno(), incoming, *keys]
+            given = (self._settings, self._clock.slow, *files)
+            self._child = Child("amhe_cli.robots.go1.link.sender", given, files)
+        opening.callback(self._child.end, 5.0 * self._clock.slow)
+        self._watch = SenderWatch(self._child, robot, self._settings, self._clock)
+        opening.callback(self._watch.close)
+        if threading.current_thread() is threading.main_thread():
+            # the signal itself informs the sender, even while our thread is deep in a rollout
+            before = signal.set_wakeup_fd(outgoing, warn_on_full_buffer=False)
+            opening.callback(signal.set_wakeup_fd, before)
+        opening.callback(self.finish)
 
     @property
     def report(self) -> SenderReport:
@@ -110,11 +97,11 @@ class Link:
         """Let the robot stand up."""
         if self._watch:
             self._watch.driven = True
-        self._order(stand=True)
+        self._send(stand=True)
 
     def arm(self) -> None:
         """Let plans take effect, as the operator's key does."""
-        self._order(arm=True)
+        self._send(arm=True)
 
     def reached(self, phase: Phase) -> bool:
         """Whether the sender has reached a phase.
@@ -134,16 +121,15 @@ class Link:
             plan: Joint targets, with times on our clock.
             pose_time: Time of the older one of the newest poses of trunk and box [s].
         """
-        if self._child:
-            self._child.pipe.send(mail.plan_message(plan, pose_time, self._clock.now()))
+        self._send(plan=plan, pose_time=pose_time, plan_time=self._clock.now())
 
     def doubt(self, why: str) -> None:
         """Say why poses cannot be believed any more: a robot that runs holds, and sits down."""
-        self._order(doubt=why)
+        self._send(doubt=why)
 
     def contradict(self, why: str) -> None:
         """Say what contradicts the poses: the motors of a robot that runs are damped."""
-        self._order(contradiction=why)
+        self._send(contradiction=why)
 
     def samples(self) -> list[Any]:
         """States that arrived since the last call, as records of `mail.SAMPLE`."""
@@ -151,12 +137,12 @@ class Link:
 
     def stop(self) -> None:
         """Damp the motors now."""
-        self._order(stop="asked to stop")
+        self._send(stop="asked to stop")
 
     def finish(self) -> SenderReport:
         """Let the robot sit down and switch its motors off; wait until this is done."""
         s = self._settings
-        self._order(finish=True)
+        self._send(finish=True)
         longest = s.hold_time + s.sit_time + s.damp_time + 2.0
         end = time.monotonic() + longest * max(1.0, self._clock.slow)
         while self.report.phase != Phase.OVER and time.monotonic() < end:
@@ -170,9 +156,10 @@ class Link:
         while not (self.report.contact or self.report.reason) and time.monotonic() < end:
             time.sleep(_STEP)
 
-    def _order(self, **orders: bool | str) -> None:
+    def _send(self, **news: Any) -> None:
+        """Fields of the sender's `Inbox`."""
         if self._child:
-            self._child.pipe.send(mail.order_message(**orders))
+            self._child.pipe.send(news)
 
     def _check_contact(self) -> None:
         host, port = self._where

@@ -1,8 +1,8 @@
-"""Messages between sender and program: plans and orders one way, samples and reports the other."""
+"""What program and sender tell each other: plans and orders one way, samples and reports the other."""
 
 from __future__ import annotations
 
-import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
@@ -37,7 +37,8 @@ class Phase(IntEnum):
     """The last packet that does nothing has been sent."""
 
 
-_PLAN, _ORDER, _SAMPLE, _REPORT = b"P", b"o", b"s", b"r"
+#: Fields of an inbox that a newer plan replaces.
+_NEWEST = ("plan", "plan_time", "pose_time")
 
 
 @dataclass(slots=True, eq=False)
@@ -72,6 +73,11 @@ class Inbox:
     finish: bool = False
     stop: str = ""
 
+    def take(self, news: Mapping[str, Any]) -> None:
+        """Take in fields that the program sends: a newer plan, and orders, of which the first stays."""
+        for name, value in news.items():
+            setattr(self, name, value if name in _NEWEST else getattr(self, name) or value)
+
 
 #: A state of the robot, on our clock, with the phase in which it arrived and the joint targets followed then.
 SAMPLE: Any = np.dtype(
@@ -81,53 +87,6 @@ SAMPLE: Any = np.dtype(
         ("targets", "f8", 12),
     ]
 )  # fmt: skip
-_HEADER = np.dtype([("start", "f8"), ("period", "f8"), ("pose_time", "f8"), ("sent", "f8")])
-
-
-def plan_message(plan: Targets, pose_time: float, now: float) -> bytes:
-    """A plan that is sent now, and the time of the older one of the newest poses of trunk and box [s]."""
-    header = np.array([(plan.start, plan.period, pose_time, now)], dtype=_HEADER)
-    return _PLAN + header.tobytes() + np.ascontiguousarray(plan.rows, dtype=np.float64).tobytes()
-
-
-def order_message(**orders: bool | str) -> bytes:
-    """What the sender is to do, or to know: fields of `Inbox`."""
-    return _ORDER + json.dumps(orders).encode()
-
-
-def take(message: bytes, inbox: Inbox) -> None:
-    """Put a plan, or orders, into an inbox; the first reason to stop stays."""
-    if message[:1] == _PLAN:
-        inbox.plan, inbox.pose_time, inbox.plan_time = _read_plan(message)
-    elif message[:1] == _ORDER:
-        for name, value in json.loads(message[1:]).items():
-            setattr(inbox, name, getattr(inbox, name) or value)
-
-
-def _read_plan(message: bytes) -> tuple[Targets, float, float]:
-    end = 1 + _HEADER.itemsize
-    header = np.frombuffer(message[1:end], dtype=_HEADER)[0]
-    rows = np.frombuffer(message[end:], dtype=np.float64).reshape(-1, 12)
-    plan = Targets(float(header["start"]), float(header["period"]), rows)
-    return plan, float(header["pose_time"]), float(header["sent"])
-
-
-def sample_message(sample: Any) -> bytes:
-    """A record of `SAMPLE`."""
-    return _SAMPLE + sample.tobytes()
-
-
-def report_message(report: dict[str, Any]) -> bytes:
-    """A report of the sender, as plain values."""
-    return _REPORT + json.dumps(report).encode()
-
-
-def read(message: bytes) -> Any:
-    """A sample as a record, a report as a dictionary; None: neither."""
-    if message[:1] == _SAMPLE:
-        return np.frombuffer(message[1:], dtype=SAMPLE)[0]
-    return json.loads(message[1:]) if message[:1] == _REPORT else None
-
 
 #: What the operator stops a run with, as the sender names it.
 _OPERATOR = ("key", "the terminal is gone", "SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
@@ -156,7 +115,7 @@ class SenderReport:
     contact: dict[str, Any] = field(default_factory=dict)
     refused: int = 0
     intervals: dict[str, float] = field(default_factory=dict)
-    robot: dict[str, Any] = field(default_factory=dict)
+    robot: RobotState | None = None
     realtime: bool = True
     unfit: str = ""
 

@@ -17,6 +17,10 @@ LOWEST = sealed(np.maximum(LOWER, _VENDOR_LOWER))
 HIGHEST = sealed(np.minimum(UPPER, _VENDOR_UPPER))
 #: Number of packets whose joint targets are remembered: those of a second.
 _REMEMBERED = 500
+#: Time between two samples of the commands that a robot followed [s].
+_FOLLOWED_PERIOD = 0.004
+#: Times [s], shape (m,), and joint targets [rad], shape (m, 12).
+Track = tuple[FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +68,44 @@ class Sent:
         while len(self._sent) > 1 and self._sent[1][0] <= time:
             self._sent.popleft()
         return self._sent[0][1]
+
+
+class Followed:
+    """Joint targets with the times since when they were followed; a reader holds each until the next.
+
+    Plans are not what a robot followed: one that is late begins late, a new one is blended into, and the
+    motors' torque is limited.
+    """
+
+    def __init__(self) -> None:
+        self._until = -np.inf
+        self._newest = np.empty(0), np.empty((0, LOWEST.size))
+
+    def take(self, time: float, in_force: FloatArray, times: FloatArray, targets: FloatArray) -> Track:
+        """The commands of one cycle; call it once for each, in their order.
+
+        Args:
+            time: Time of the cycle [s].
+            in_force: Joint targets in force then [rad], shape (12,): the first command.
+            times: Times [s] (m,) at which the robot followed targets [rad] (m, 12) since the last cycle.
+            targets: Those targets.
+
+        Returns:
+            Times [s], shape (c,), and targets [rad], shape (c, 12): those in the middle of each short period.
+        """
+        if not np.isfinite(self._until):
+            self._until = time
+            return np.array([time]), in_force[None]
+        times, targets = np.append(self._newest[0], times), np.vstack((self._newest[1], targets))
+        self._newest = times[-1:], targets[-1:]
+        known = np.max(times, initial=self._until) - 0.5 * _FOLLOWED_PERIOD
+        count = int((known - self._until) / _FOLLOWED_PERIOD + 1e-6)
+        stamps = self._until + _FOLLOWED_PERIOD * np.arange(1, count + 1, dtype=np.float64)
+        if not stamps.size:
+            return stamps, np.empty((0, targets.shape[1]))
+        self._until = float(stamps[-1])
+        middles = stamps + 0.5 * _FOLLOWED_PERIOD
+        return stamps, np.stack([np.interp(middles, times, column) for column in targets.T], axis=1)
 
 
 def eased(start: FloatArray, end: FloatArray, share: float) -> FloatArray:

@@ -7,8 +7,6 @@ import socket
 from dataclasses import dataclass
 
 from amhe_cli.core.errors import ConfigError, one_of
-from amhe_cli.live.episode import Episode
-from amhe_cli.robots.go1.judge import Judge
 from amhe_cli.robots.go1.link.calibration import Calibration
 from amhe_cli.robots.go1.link.child import planning_first
 from amhe_cli.robots.go1.link.clock import Clock
@@ -16,10 +14,8 @@ from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.target import Go1Target
 from amhe_cli.robots.go1.poses import natnet, udp
 from amhe_cli.robots.go1.poses.feed import KINDS, FeedOptions, PoseFeed
-from amhe_cli.robots.go1.run import Run, RunOptions, belief_source, controller_for, generator, task_and_system
-from amhe_cli.robots.go1.sampling import Sampler
+from amhe_cli.robots.go1.run import Run, RunOptions, generator, run_on, task_and_system
 from amhe_cli.robots.go1.settings import Go1Settings, settings_of
-from amhe_cli.robots.go1.state_estimator.estimator import StateEstimator
 from amhe_cli.robots.go1.tasks import Task
 
 #: The robot's own address and port, as it leaves the factory.
@@ -67,15 +63,10 @@ def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = Non
     feed = PoseFeed(_feed(wire, settings))
     link = Link(wire.host, wire.port, settings, clock, wire.keys)
     target = Go1Target(link, feed, settings, clock, period, task.box)
-    behaviour = task.behaviour()
     samples = generator(options.seed, "samples")
     with planning_first() as (cores, _):  # the threads of its rollouts, too
         threads = min(options.threads, cores)
-        controller = controller_for(task, behaviour, system, samples, threads, options.engine)
-    judge = Judge(task, behaviour.running_cost, period, options.duration)
-    belief = belief_source(options, task, system, None, settings.slow)
-    episode = Episode(target, StateEstimator(behaviour.standing), controller, belief, Sampler(period), judge)
-    return Run(options, task, system, episode, target, None, judge, {})
+        return run_on(options, task, system, target, None, samples, threads, settings.slow)
 
 
 def open_calibration(options: RunOptions, wire: WireOptions) -> Calibration:

@@ -1,7 +1,5 @@
 """The process that sends to the robot: a packet every 2 ms, whatever planner and estimator do meanwhile.
 
-    python -m amhe_cli.robots.go1.link.sender CHANNEL
-
 It is a process of its own so that nothing can hold it up, and so that it outlives a program that dies: it
 then lets the robot down (motors damped) and ends.
 """
@@ -14,22 +12,19 @@ import os
 import select
 import signal
 import socket
-import sys
 import traceback
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray
-from amhe_cli.robots.go1.link import mail, state, wire
+from amhe_cli.robots.go1.link import state, wire
 from amhe_cli.robots.go1.link.child import SENDER, Pipe, begun, take_priority
 from amhe_cli.robots.go1.link.clock import Clock, ClockMap, ticks_ahead
 from amhe_cli.robots.go1.link.command import MotorCommand, encode
 from amhe_cli.robots.go1.link.first_contact import Contact, Share
 from amhe_cli.robots.go1.link.machine import Machine
-from amhe_cli.robots.go1.link.mail import Inbox, Phase
+from amhe_cli.robots.go1.link.mail import SAMPLE, Inbox, Phase, SenderReport
 from amhe_cli.robots.go1.link.motion import Sent
 from amhe_cli.robots.go1.link.robot_socket import RobotSocket, let_down
 from amhe_cli.robots.go1.link.state import RobotState
@@ -181,12 +176,15 @@ class Sender:
         if read.tick % _PASS_ON == 0:
             # packets take time to arrive: take those that the robot followed when it sent its state
             followed = self._sent.by(time - 0.5 * self._contact.round_trip)
-            sample = _sample(time, self._machine.phase, read, followed)
-            self._pipe.send(mail.sample_message(sample))
+            sample = (
+                time, self._machine.phase, read.quaternion, read.gyro, read.accelerometer, read.joints,
+                read.joint_rates, followed,
+            )  # fmt: skip
+            self._pipe.send(np.array(sample, dtype=SAMPLE).tobytes())
 
     def _read_pipe(self) -> None:
         for message in self._pipe.received():
-            mail.take(message, self._inbox)
+            self._inbox.take(message)
         if not self._pipe.open:
             self.stop("the program has died")
 
@@ -229,14 +227,10 @@ class Sender:
         self._reported = now, machine.phase
         looked_at = machine.phase == Phase.CONNECT and self._contact.complete
         self._pipe.send(
-            mail.report_message(
-                {
-                    "phase": int(machine.phase), "trip": machine.trip, "reason": machine.reason,
-                    "contact": self._contact.report, "refused": self._robot.refused,
-                    "intervals": self._intervals.summary() if machine.phase >= Phase.PAUSE else {},
-                    "robot": _robot(self._inbox.state), "realtime": self._realtime,
-                    "unfit": machine.unfit(now, self._inbox) if looked_at else "",
-                }
+            SenderReport(
+                machine.phase, machine.trip, machine.reason, self._contact.report, self._robot.refused,
+                self._intervals.summary() if machine.phase >= Phase.PAUSE else {},
+                self._inbox.state, self._realtime, machine.unfit(now, self._inbox) if looked_at else "",
             )
         )  # fmt: skip
 
@@ -249,34 +243,15 @@ def next_tick(due: float, now: float, period: float) -> float:
     return max(due + period, now + 0.5 * period)
 
 
-def _sample(time: float, phase: Phase, read: RobotState, followed: FloatArray) -> Any:
-    return np.array(
-        (
-            time, int(phase), read.quaternion, read.gyro, read.accelerometer, read.joints, read.joint_rates,
-            followed,
-        ),
-        dtype=mail.SAMPLE,
-    )  # fmt: skip
-
-
-def _robot(read: RobotState | None) -> dict[str, Any]:
-    if read is None:
-        return {}
-    return {
-        "charge": read.charge, "hottest": float(read.temperatures.max()), "serial": list(read.serial),
-        "version": list(read.version), "quaternion": read.quaternion.tolist(), "joints": read.joints.tolist(),
-    }  # fmt: skip
-
-
 def main() -> None:
-    """Read the settings from the pipe, and send."""
-    pipe, given = begun()
-    settings, clock = Go1Settings.model_validate(given["settings"]), Clock(given["slow"])
-    robot = RobotSocket(socket.socket(fileno=given["robot"]), clock)
+    """Read settings and descriptors from the pipe, and send."""
+    pipe, (settings, slow, robot_file, signals, *keys) = begun()
+    clock = Clock(slow)
+    robot = RobotSocket(socket.socket(fileno=robot_file), clock)
     gc.freeze()
     gc.disable()  # no code here makes reference cycles
     realtime = take_priority(SENDER, longest=settings.trips.report_age * clock.slow)
-    sender = Sender(settings, robot, pipe, clock, given["signals"], given["keys"], realtime)
+    sender = Sender(settings, robot, pipe, clock, signals, max(keys, default=-1), realtime)
     for number in (*_STOPPING, *_SUSPENDING):
         signal.signal(number, lambda number, _: sender.stop_on(number))
     try:
@@ -290,7 +265,3 @@ def main() -> None:
         sender.say("")
     finally:
         pipe.close()
-
-
-if __name__ == "__main__":
-    sys.exit(main())

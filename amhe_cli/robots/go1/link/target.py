@@ -11,7 +11,6 @@ import gc
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -22,11 +21,11 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import AmheError
 from amhe_cli.core.samples import Samples
 from amhe_cli.robots.go1.kinematics import HOME
-from amhe_cli.robots.go1.link.child import planning_first
+from amhe_cli.robots.go1.link.child import Opened, planning_first
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.mail import SAMPLE, Phase, SenderReport, StoppedError
-from amhe_cli.robots.go1.link.motion import Targets
+from amhe_cli.robots.go1.link.motion import Followed, Targets
 from amhe_cli.robots.go1.model import Box
 from amhe_cli.robots.go1.poses.feed import PoseFeed, TimedPose
 from amhe_cli.robots.go1.poses.frame import World, check_axes, check_place, offset_pose, tilt_offset
@@ -47,11 +46,10 @@ _OWN = {
     "joints.velocity": "joint_rates",
     "imu.angular_velocity": "gyro",
     "imu.linear_acceleration": "accelerometer",
-    "command.position": "targets",
 }
 
 
-class Go1Target:
+class Go1Target(Opened):
     """See `live.target.Target`; use it as a context manager, then `check`, then `begin`.
 
     Args:
@@ -77,7 +75,7 @@ class Go1Target:
         self._world = World.same()
         self._start = 0.0
         self._time = 0.0
-        self._plan = Plan(0.0, period, np.asarray(HOME)[None])
+        self._plan, self._followed = Plan(0.0, period, np.asarray(HOME)[None]), Followed()
         names, level = (settings.trunk, settings.box), np.array([1.0, 0.0, 0.0, 0.0])
         self._newest = {name: TimedPose(name, -np.inf, np.zeros(3), level) for name in names}
         self._gate = Gate(settings.poses, *names)
@@ -88,22 +86,13 @@ class Go1Target:
         self._poses: list[tuple[float, Pose, Pose]] = []
         self._playing, self._sends, self._realtime, self._doubtful = False, True, False, 0
         self._diverged: StoppedError | None = None
-        self._opened = ExitStack()
         self.misses = 0
         self.begun = False
 
-    def __enter__(self) -> Go1Target:
-        with ExitStack() as opening:  # what is open already is closed again where the next step fails
-            opening.enter_context(self._feed)
-            opening.enter_context(self._link)
-            _, self._realtime = opening.enter_context(planning_first())  # once their processes have started
-            self._opened = opening.pop_all()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._opened.__exit__(kind, error, trace)
+    def _open(self, opening: ExitStack) -> None:
+        opening.enter_context(self._feed)
+        opening.enter_context(self._link)
+        _, self._realtime = opening.enter_context(planning_first())  # once their processes have started
 
     @property
     def slow(self) -> float:
@@ -141,17 +130,18 @@ class Go1Target:
         report = self._link.connect()
         s, seen = self._settings, self._feed.first()
         trunk, box = self._offset(seen[s.trunk]), self._offset(seen[s.box])
-        imu = np.array(report.robot["quaternion"])
-        check_axes(trunk, imu)
+        robot = report.robot
+        assert robot is not None, "who is connected has reported a state"
+        check_axes(trunk, robot.quaternion)
         self._world = World.under(trunk) if s.world == "trunk" else World.same()
         place, _ = self._world.seen(box)
         check_place(place, self._box, s.place_tolerance)
-        contact, tilt = report.contact, np.rad2deg(tilt_offset(trunk, imu))
+        contact, tilt = report.contact, np.rad2deg(tilt_offset(trunk, robot.quaternion))
         return {
             "robot": f"{contact['states']} states, {100 * contact['share']:.0f} % arrive",
             "there and back": f"{contact['round_trip_ms']:.1f} ms",
-            "battery": f"{report.robot['charge']} %",
-            "hottest motor": f"{report.robot['hottest']:.0f} deg C",
+            "battery": f"{robot.charge} %",
+            "hottest motor": f"{robot.temperatures.max():.0f} deg C",
             "trunk": f"{trunk[0][2]:.3f} m high; off the IMU by {tilt[0]:+.1f}, {tilt[1]:+.1f} degrees",
             "poses": self._feed.about,
             "box": f"at ({place[0]:.2f}, {place[1]:.2f}, {place[2]:.2f}) m of the task's frame",
@@ -342,7 +332,10 @@ class Go1Target:
         self._robot, self._poses = [], []
         seen = np.array([time for time, _, _ in poses]) - self._start
         records = np.array(robot, dtype=SAMPLE)
-        samples = {key: (records["time"] - self._start, records[name]) for key, name in _OWN.items()}
+        times = records["time"] - self._start
+        samples = {key: (times, records[name]) for key, name in _OWN.items()}
+        in_force = self._plan.at(self._time)
+        samples["command.position"] = self._followed.take(self._time, in_force, times, records["targets"])
         for name, pairs in (("trunk", [p[1] for p in poses]), ("box", [p[2] for p in poses])):
             places, turns = [pose[0] for pose in pairs], [pose[1] for pose in pairs]
             samples[f"{name}.position"] = seen, np.array(places).reshape(len(poses), 3)

@@ -13,10 +13,11 @@ from collections import deque
 from dataclasses import replace
 from typing import Any
 
-from amhe_cli.robots.go1.link import mail
+import numpy as np
+
 from amhe_cli.robots.go1.link.child import WATCH, Child, take_priority
 from amhe_cli.robots.go1.link.clock import Clock
-from amhe_cli.robots.go1.link.mail import Phase, SenderReport
+from amhe_cli.robots.go1.link.mail import SAMPLE, Phase, SenderReport
 from amhe_cli.robots.go1.link.robot_socket import RobotSocket, let_down
 from amhe_cli.robots.go1.settings import Go1Settings
 
@@ -94,13 +95,11 @@ class SenderWatch:
                 time.sleep(_STEP)
         return ""
 
-    def _take(self, message: bytes) -> None:
-        content = mail.read(message)
-        if isinstance(content, dict):
-            content["phase"] = Phase(content["phase"])
-            self.report = SenderReport(**content)
-        elif content is not None:
-            self._samples.append(content)
+    def _take(self, message: SenderReport | bytes) -> None:
+        if isinstance(message, SenderReport):
+            self.report = message
+        else:
+            self._samples.append(np.frombuffer(message, SAMPLE)[0])
 
     def _stand_in(self, fault: str) -> None:
         """Let the robot down in place of a lost sender: motors keep their last command permanently."""

@@ -1,24 +1,18 @@
-"""The process that holds a pose source, and its reader in the program.
-
-python -m amhe_cli.robots.go1.poses.feed CHANNEL
-"""
+"""The process that holds a pose source, and its reader in the program."""
 
 from __future__ import annotations
 
 import ctypes
-import json
 import signal
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from types import TracebackType
-from typing import Any
-
-import numpy as np
+from typing import NamedTuple
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.robots.go1.link.child import POSES, Child, Pipe, begun, take_priority
+from amhe_cli.robots.go1.link.child import POSES, Child, Opened, Pipe, begun, take_priority
 from amhe_cli.robots.go1.link.clock import Clock, ClockMap
 from amhe_cli.robots.go1.poses.motioncapture import MotionCapture
 from amhe_cli.robots.go1.poses.natnet import NatNet
@@ -88,7 +82,14 @@ class TimedPose:
     flaw: str = ""
 
 
-class PoseFeed:
+class _Begun(NamedTuple):
+    """The process has started: whom it listens to, in words, and whether it has real-time priority."""
+
+    about: str
+    realtime: bool
+
+
+class PoseFeed(Opened):
     """A source of poses in a process of its own; use it as a context manager.
 
     Args:
@@ -104,19 +105,9 @@ class PoseFeed:
         self.about, self.realtime = "", False
         self._child: Child | None = None
 
-    def __enter__(self) -> PoseFeed:
-        o = self._options
-        self._child = Child("amhe_cli.robots.go1.poses.feed", {
-            "kind": o.kind, "host": o.host, "port": o.port, "bodies": list(o.bodies), "seconds": o.seconds,
-            "slow": o.slow, "settings": o.settings.model_dump(),
-        })  # fmt: skip
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._child:
-            self._child.end(0.5)
+    def _open(self, opening: ExitStack) -> None:
+        self._child = Child("amhe_cli.robots.go1.poses.feed", self._options)
+        opening.callback(self._child.end, 0.5)
 
     def first(self) -> dict[str, TimedPose]:
         """Wait until every body has been seen; the newest pose of each, by name.
@@ -125,22 +116,18 @@ class PoseFeed:
             PoseError: A body was not seen, or the source cannot be reached.
         """
         seen: dict[str, TimedPose] = {}
-        others: set[str] = set()
         end = time.monotonic() + _START
-        begun = False
         while time.monotonic() < end and not set(self._options.bodies) <= set(seen):
             for message in self._messages():
-                if "connecting" in message and not begun:  # its Python has started: the wait begins now
-                    begun, end = True, time.monotonic() + self._options.seconds * max(1.0, self._options.slow)
-                    self.about, self.realtime = message["connecting"], message["realtime"]
-                pose = _pose(message)
-                if pose is not None:
-                    seen[pose.body] = pose
-                    others.add(pose.body)
+                if isinstance(message, TimedPose):
+                    seen[message.body] = message
+                else:  # its Python has started: the wait begins now
+                    self.about, self.realtime = message
+                    end = time.monotonic() + self._options.seconds * max(1.0, self._options.slow)
             time.sleep(_STEP)
         missing = [name for name in self._options.bodies if name not in seen]
         if missing:
-            raise PoseError(self._absent(missing, others - set(self._options.bodies)))
+            raise PoseError(self._absent(missing, set(seen) - set(self._options.bodies)))
         return seen
 
     def poses(self) -> list[TimedPose]:
@@ -149,15 +136,15 @@ class PoseFeed:
         Raises:
             PoseError: The source has died.
         """
-        return [pose for message in self._messages() if (pose := _pose(message)) is not None]
+        return [message for message in self._messages() if isinstance(message, TimedPose)]
 
-    def _messages(self) -> list[dict[str, Any]]:
+    def _messages(self) -> list[TimedPose | _Begun]:
         if self._child is None:
             raise PoseError("the pose source is not open")
-        messages = [json.loads(message) for message in self._child.pipe.received()]
+        messages = list(self._child.pipe.received())
         for message in messages:
-            if "error" in message:
-                raise PoseError(message["error"])
+            if isinstance(message, PoseError):
+                raise message
         if not self._child.pipe.open:
             raise PoseError(f"the pose source {self._options.kind} has died")
         return messages
@@ -171,13 +158,6 @@ class PoseFeed:
         )
 
 
-def _pose(message: dict[str, Any]) -> TimedPose | None:
-    if "body" not in message:
-        return None
-    position, orientation = np.array(message["position"]), np.array(message["orientation"])
-    return TimedPose(message["body"], message["time"], position, orientation, message["flaw"])
-
-
 class _Sender:
     """The child's side: stamps sightings on our clock and passes them on."""
 
@@ -185,9 +165,6 @@ class _Sender:
         self._pipe, self._clock, self._map = pipe, clock, ClockMap()
         self._last: dict[str, bytes] = {}
         self._strange = 0
-
-    def say(self, message: dict[str, Any]) -> None:
-        self._pipe.send(json.dumps(message).encode())
 
     def pass_on(self, seen: Sighting) -> None:
         pose, before = seen.position.tobytes() + seen.orientation.tobytes(), self._last.get(seen.body)
@@ -198,9 +175,7 @@ class _Sender:
         flaw = self._flaw(seen.stamp, arrival)
         # the least delay from a stamp to us is at least the age that the source gives
         stamped = arrival if seen.stamp is None or flaw else self._map.see(seen.stamp, arrival)
-        position, orientation = seen.position.tolist(), seen.orientation.tolist()
-        found = {"body": seen.body, "time": stamped - seen.age, "flaw": flaw}
-        self.say(found | {"position": position, "orientation": orientation})
+        self._pipe.send(TimedPose(seen.body, stamped - seen.age, seen.position, seen.orientation, flaw))
 
     def _flaw(self, stamp: float | None, arrival: float) -> str:
         """What is wrong with a stamp: a single one far ahead would make all later ones look old.
@@ -222,18 +197,14 @@ def _end_with_the_program() -> None:
 
 def main() -> None:
     """Send poses to the program until it closes the pipe."""
-    for number in (
-        signal.SIGINT,
-        signal.SIGTERM,
-    ):  # meant for the program, which still needs poses to sit down
+    for number in (signal.SIGINT, signal.SIGTERM):  # meant for the program, which needs poses to sit down
         signal.signal(number, signal.SIG_IGN)
     _end_with_the_program()
-    pipe, given = begun()
-    options = FeedOptions(settings=PoseSettings.model_validate(given.pop("settings")), **given)
+    pipe, options = begun()
     sender = _Sender(pipe, Clock(options.slow))
     source = source_of(replace(options, seconds=options.seconds * max(1.0, options.slow)))
     realtime = take_priority(POSES)  # a late pose looks like a lost one
-    sender.say({"connecting": source.about, "realtime": realtime})
+    pipe.send(_Begun(source.about, realtime))
     try:
         source.connect()
         while pipe.open:
@@ -241,10 +212,6 @@ def main() -> None:
                 sender.pass_on(seen)
             list(pipe.received())  # nothing comes; at the end of the program it is closed
     except PoseError as error:
-        sender.say({"error": str(error)})
+        pipe.send(error)
     finally:
         source.close()
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -10,17 +10,26 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.rotations import conjugate, exp, multiply, rotate, yaw_of
 from amhe_cli.robots.go1.poses.source import Pose, PoseError
 
+#: Place [m] and rotation vector [rad] of the body that carries the markers, in the rigid body's frame.
+Offset = tuple[float, float, float, float, float, float]
+NO_OFFSET: Offset = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 #: IMU and cameras may differ by so much about the trunk's up [rad].
 LEVEL = float(np.deg2rad(15.0))
 #: Height of a lying or standing trunk over the floor [m]: what is outside is not in metres, or not the trunk.
 _HEIGHTS = (0.03, 0.6)
 
 
-def offset_pose(pose: Pose, offset: tuple[float, ...]) -> Pose:
+def offset_pose(pose: Pose, offset: Offset) -> Pose:
     """The pose of a body from that of its rigid body; offset: place [m] and rotation vector [rad] in it."""
     position, orientation = pose
     place, turn = np.array(offset[:3]), np.array(offset[3:])
     return position + rotate(orientation, place), multiply(orientation, exp(turn))
+
+
+def rigid_body(true: Pose, offset: Offset) -> Pose:
+    """The pose that a rigid body has, whose offset leads to the true pose."""
+    turn = multiply(true[1], conjugate(exp(np.array(offset[3:]))))
+    return true[0] - rotate(turn, np.array(offset[:3])), turn
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,6 +19,7 @@ from amhe_cli.robots.go1.kinematics import FOOT_RADIUS, feet
 from amhe_cli.robots.go1.poses.frame import up
 from amhe_cli.robots.go1.poses.source import Pose
 from amhe_cli.robots.go1.state_estimator.kalman import ValueFilter
+from amhe_cli.robots.go1.state_estimator.sensing import Pose as Seen
 from amhe_cli.robots.go1.state_estimator.sensing import trunk_velocities
 
 #: Ways are compared over this time [s], and where robot and box are is averaged over that.
@@ -48,14 +49,6 @@ _BUMPER_RADIUS = 0.015
 _RADII = sealed([_BUMPER_RADIUS] * len(_BUMPER) + [FOOT_RADIUS] * 4)
 
 
-class _Seen(NamedTuple):
-    """A pose of a body at a time [s]: position (3,), unit quaternion (4,)."""
-
-    time: float
-    place: FloatArray
-    turn: FloatArray
-
-
 class _Felt(NamedTuple):
     """Pose of the trunk at a time [s] by legs and IMU, in a frame of its own, and its feet (4, 3)."""
 
@@ -83,7 +76,7 @@ class Witness:
         """Forget what came until now: the run begins."""
         self._way: ValueFilter | None = None
         self._felt: deque[_Felt] = deque(maxlen=_KEPT)
-        self._seen: dict[str, deque[_Seen]] = {name: deque(maxlen=_KEPT) for name in self._names}
+        self._seen: dict[str, deque[Seen]] = {name: deque(maxlen=_KEPT) for name in self._names}
         self._gaps: deque[tuple[float, float]] = deque(maxlen=_KEPT)
 
     def feel(self, robot: Any) -> None:
@@ -103,7 +96,7 @@ class Witness:
         """Take in a pose of trunk or box in one frame, z upward; one older than the newest is left out."""
         seen = self._seen[body]
         if not seen or time > seen[-1].time:
-            seen.append(_Seen(time, *pose))
+            seen.append(Seen(time, *pose))
 
     @property
     def contradiction(self) -> str:
@@ -128,7 +121,7 @@ class Witness:
             scatter = np.square(standing - standing.mean(axis=0)).mean()
             way.see_rate(standing.mean(axis=0), float(np.sqrt(_FOOT**2 + scatter)))
 
-    def _window(self, body: str, longest: float = _WINDOW) -> list[_Seen]:
+    def _window(self, body: str, longest: float = _WINDOW) -> list[Seen]:
         """The newest poses of a body that the robot has felt the time of; none if they are too few."""
         if not (self._felt and self._seen[body]):
             return []
@@ -140,8 +133,11 @@ class Witness:
     def _frozen(self) -> str:
         """That the trunk stands still in the cameras while its legs move it, in words."""
         seen = self._seen[self._names[0]]
-        still = [*takewhile(lambda one: np.abs(one.place - seen[-1].place).max() < _STILL, reversed(seen))]
-        if not still or still[0].time - still[-1].time < 2.0 * _BRIEF:
+        if not seen:
+            return ""
+        last = seen[-1].position
+        still = [*takewhile(lambda one: np.abs(one.position - last).max() < _STILL, reversed(seen))]
+        if still[0].time - still[-1].time < 2.0 * _BRIEF:
             return ""
         since = max(still[-1].time, still[0].time - _LONGEST)
         ways = [one.place for one in self._felt if since <= one.time <= still[0].time]
@@ -158,14 +154,14 @@ class Witness:
         felt = [one for one in self._felt if start.time - 0.1 < one.time]
         times, ways = np.array([one.time for one in felt]), np.array([one.place for one in felt])
         first, last = (_at(time, times, ways) for time in (start.time, end.time))
-        places = np.array([one.place for one in seen])
+        places = np.array([one.position for one in seen])
         began = felt[int(np.abs(times - start.time).argmin())]
-        way = rotate(multiply(start.turn, conjugate(began.turn)), last - first)
-        off, span = (end.place - start.place - way)[:2], end.time - start.time
+        way = rotate(multiply(start.orientation, conjugate(began.turn)), last - first)
+        off, span = (end.position - start.position - way)[:2], end.time - start.time
         sd = np.sqrt(2.0 * _noise(places) ** 2 + _OFFSET**2 + (_SLIP * span) ** 2)
         if np.linalg.norm(off) <= self._gate * sd:
             return ""
-        seen_by = 100.0 * np.linalg.norm((end.place - start.place)[:2])
+        seen_by = 100.0 * np.linalg.norm((end.position - start.position)[:2])
         return (
             f"cameras and legs contradict each other: {seen_by:.1f} and {100.0 * np.linalg.norm(way[:2]):.1f}"
             f" cm in {1e3 * span:.0f} ms, {100.0 * np.linalg.norm(off):.1f} cm apart"
@@ -185,7 +181,7 @@ class Witness:
             return f"the robot would be {-100.0 * gap:.1f} cm inside the box: one of them is not there"
         if not box or min(gap for time, gap in self._gaps if time > box[0].time) < _UNTOUCHED:
             return ""
-        places = np.array([one.place for one in box])
+        places = np.array([one.position for one in box])
         moved = float(np.linalg.norm((places[-1] - places[0])[:2]))
         sd = np.sqrt(2.0 * _noise(places) ** 2 + _FACE**2)
         return (
@@ -194,12 +190,12 @@ class Witness:
             else ""
         )
 
-    def _gap(self, trunk: list[_Seen], box: list[_Seen]) -> float:
+    def _gap(self, trunk: list[Seen], box: list[Seen]) -> float:
         """Distance of the box from bumper and feet [m]; negative: they would be inside it by that."""
         time = float(np.mean([one.time for one in box]))
         felt = min(self._felt, key=lambda one: abs(one.time - time))
         (place, turn), (centre, yaw) = (
-            (np.mean([one.place for one in seen], axis=0), mean([one.turn for one in seen]))
+            (np.mean([one.position for one in seen], axis=0), mean([one.orientation for one in seen]))
             for seen in (trunk, box)
         )
         points = rotate(turn, np.vstack((_BUMPER, felt.feet))) + place - centre

@@ -18,7 +18,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.samples import Samples
-from amhe_cli.robots.go1.state import Body, State
+from amhe_cli.robots.go1.state import Body, SensorNoise, State
 from amhe_cli.robots.go1.state_estimator.kalman import Turn, ValueFilter
 from amhe_cli.robots.go1.state_estimator.sensing import Feet, Gyro, Pose, SensorSamples, feet, poses
 
@@ -32,15 +32,10 @@ _FIRST_SPEED, _FIRST_TURN, _FIRST_OFFSET, _FIRST_SPIN_UP = 0.02, 0.05, 0.02, 5.0
 
 
 @dataclass(frozen=True, slots=True)
-class EstimatorNoise:
-    """Noise of the sensors (sd), and process noise of robot and box (root of a white density).
+class EstimatorNoise(SensorNoise):
+    """Noise of the sensors (sd, see `SensorNoise`), and process noise of robot and box (root of a density).
 
     Args:
-        position: Noise of measured positions [m].
-        orientation: Noise of measured orientations, about each axis [rad].
-        joint: Noise of joint angles [rad].
-        joint_rate: Noise of joint velocities [rad/s].
-        gyro: Noise of the gyro [rad/s].
         foot: Noise of the trunk's velocity by the feet, slip and give of the ground included [m/s].
         gate: Feet that are further from the prediction, in sd, do not stand.
         trunk: Acceleration of the trunk [m/s^2/sqrt(Hz)].
@@ -52,11 +47,6 @@ class EstimatorNoise:
         joint_drive: Acceleration of joints [rad/s^2/sqrt(Hz)].
     """
 
-    position: float = 0.002
-    orientation: float = float(np.deg2rad(0.5))
-    joint: float = 0.003
-    joint_rate: float = 0.05
-    gyro: float = 0.02
     foot: float = 0.015
     gate: float = 2.0
     trunk: float = 0.2

@@ -16,7 +16,7 @@ from amhe_cli.core.errors import ConfigError
 from amhe_cli.robots.go1.emulator.body import EmulatedBody
 from amhe_cli.robots.go1.emulator.emulator import Emulator, EmulatorOptions
 from amhe_cli.robots.go1.emulator.faults import Faults, parse_faults
-from amhe_cli.robots.go1.emulator.motive import Motive, Seen
+from amhe_cli.robots.go1.emulator.motive import Motive
 from amhe_cli.robots.go1.emulator.robot_port import PortError, RobotPort
 from amhe_cli.robots.go1.kinematics import HOME, TORQUE_LIMIT
 from amhe_cli.robots.go1.link import command, state, wire
@@ -42,36 +42,36 @@ def servo(position: np.ndarray, kp: float = 60.0, kd: float = 3.0) -> MotorComma
 
 
 def stands_up(body: EmulatedBody) -> None:
-    state, _ = body.advance(MotorCommand())
+    state, _ = body.obey(MotorCommand())
     for start, end, seconds in ((state.joints, FOLDED, 0.5), (FOLDED, HOME, 1.0), (HOME, HOME, 0.5)):
         for share in np.linspace(0.0, 1.0, round(seconds * 1000)):
-            body.advance(servo(start + share * (end - start)))
+            body.obey(servo(start + share * (end - start)))
 
 
 def test_it_lies_with_folded_calves_stands_up_and_sinks_when_damped(lying: EmulatedBody) -> None:
-    state, _ = lying.advance(MotorCommand(wire.DAMPED))
-    assert 0.05 < lying.trunk_height < 0.12
+    state, _ = lying.obey(MotorCommand(wire.DAMPED))
+    assert 0.05 < lying.state.trunk.position[2] < 0.12
     assert (state.joints[2::3] < -2.6).all()
     stands_up(lying)
-    assert 0.24 < lying.trunk_height < 0.3
-    state, _ = lying.advance(servo(HOME))
+    assert 0.24 < lying.state.trunk.position[2] < 0.3
+    state, _ = lying.obey(servo(HOME))
     assert state.accelerometer[2] == pytest.approx(9.81, abs=1.5)
     weight = (state.foot_force - [12, -7, 20, 3]).sum() / 1.2
     assert weight == pytest.approx(12.7 * 9.81, rel=0.25)
     assert (state.modes == wire.SERVO).all()
     for _ in range(1500):
-        state, _ = lying.advance(MotorCommand(velocity=np.zeros(12), kd=np.full(12, 3.0)))
-    assert lying.trunk_height < 0.16
+        state, _ = lying.obey(MotorCommand(velocity=np.zeros(12), kd=np.full(12, 3.0)))
+    assert lying.state.trunk.position[2] < 0.16
 
 
 def test_torques_are_clipped_and_stopped_loops_are_off() -> None:
     body = EmulatedBody(T1, np.random.default_rng(0))
-    state, _ = body.advance(servo(HOME + 3.0, kp=200.0))
+    state, _ = body.obey(servo(HOME + 3.0, kp=200.0))
     assert (np.abs(state.torques) <= TORQUE_LIMIT + 1e-6).all()
     assert np.abs(state.torques).max() > 20.0
-    state, _ = body.advance(replace(MotorCommand(), kp=np.full(12, 60.0), kd=np.full(12, 3.0)))
+    state, _ = body.obey(replace(MotorCommand(), kp=np.full(12, 60.0), kd=np.full(12, 3.0)))
     np.testing.assert_allclose(state.torques, 0.0, atol=1e-9)
-    state, _ = body.advance(replace(MotorCommand(), torque=np.full(12, 2.0)))
+    state, _ = body.obey(replace(MotorCommand(), torque=np.full(12, 2.0)))
     np.testing.assert_allclose(state.torques, 2.0, atol=1e-9)
 
 
@@ -80,9 +80,9 @@ def test_time_based_changes_count_from_the_first_push() -> None:
     mass = body.parameters["box_mass"]
     assert mass == pytest.approx(4.0)
     body._moving_since = body.time - 9.9985
-    body.advance(MotorCommand())
+    body.obey(MotorCommand())
     assert body.parameters["box_mass"] == pytest.approx(4.0)
-    body.advance(MotorCommand())
+    body.obey(MotorCommand())
     assert body.parameters["box_mass"] == pytest.approx(6.0)
 
 
@@ -188,8 +188,8 @@ def serving(motive: Motive) -> Iterator[None]:
         while not stop.wait(0.005):
             time_now += 0.01
             motive.serve(time_now)
-            box = Seen(np.array([0.6, 0.1, 0.15]), -TURN, valid=time_now > 5.6)
-            motive.stream([Seen(np.array([1.0, 2.0, 0.3]), TURN), box], time_now)
+            box = (np.array([0.6, 0.1, 0.15]), -TURN) if time_now > 5.6 else None
+            motive.show([(np.array([1.0, 2.0, 0.3]), TURN), box], time_now)
 
     thread = threading.Thread(target=serve)
     thread.start()
@@ -217,7 +217,7 @@ def test_natnet_reads_what_motive_streams(motive: Motive) -> None:
 @pytest.mark.parametrize("address", ["127.0.0.2", "127.0.0.1"])
 def test_natnet_listens_at_one_address_and_to_one_port(motive: Motive, address: str) -> None:
     pytest.importorskip("natnet")
-    there = Seen(np.array([9.0, 9.0, 9.0]), TURN)
+    there = np.array([9.0, 9.0, 9.0]), TURN
     with (
         serving(motive),
         closing(NatNet(*motive.address, 2.0)) as source,
@@ -230,7 +230,7 @@ def test_natnet_listens_at_one_address_and_to_one_port(motive: Motive, address: 
         impostor._clients = {one.getsockname(): 0.0 for one in sockets}
         seen, end = [], time.monotonic() + 5.0
         while len(seen) < 50 and time.monotonic() < end:
-            impostor.stream([there, there], 0.0)
+            impostor.show([there, there], 0.0)
             impostor.serve(1.0)
             seen += source.wait(0.05)
     assert seen
@@ -244,8 +244,8 @@ def test_a_frame_comes_as_late_as_it_says(motive: Motive) -> None:
         client.sendto(bytes(4), motive.address)  # 0: connect
         motive.serve(5.0)
         assert client.recv(4096)[:2] == b"\x01\x00"
-        seen = Seen(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
-        motive.stream([seen, seen], 5.0)
+        seen = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+        motive.show([seen, seen], 5.0)
         motive.serve(5.003)
         with pytest.raises(BlockingIOError):
             client.recv(4096)
@@ -294,7 +294,7 @@ def test_the_vendors_own_client_stands_the_robot_up_through_it() -> None:
         for begin, end, ticks in ((start, FOLDED, 200), (FOLDED, HOME, 500), (HOME, HOME, 150)):
             for share in np.linspace(0.0, 1.0, ticks):
                 joints = turn(begin + share * (end - begin), 60.0)
-        assert emulator.body.trunk_height > 0.24
+        assert emulator.body.state.trunk.position[2] > 0.24
         np.testing.assert_allclose(joints, HOME, atol=0.12)
         assert emulator.counts[1] == 0
 

@@ -33,7 +33,7 @@ def worst_tilt(walked: float, then: str) -> float:
     inbox.stand = inbox.arm = True
     command, begun, leans = MotorCommand(), np.inf, 0.0
     for tick in range(round(LONGEST / STEP)):
-        state, _ = body.advance(command)
+        state, _ = body.obey(command)
         now = body.time
         inbox.state, inbox.state_time, inbox.pose_time = state, now, now
         if machine.phase == Phase.RUN:

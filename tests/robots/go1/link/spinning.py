@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 
 from amhe_cli.robots.go1.link import sender
@@ -24,6 +23,7 @@ class SpinningSender(sender.Sender):
             pass
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """See `sender.main`."""
     sender.Sender = SpinningSender  # type: ignore[misc]
-    sys.exit(sender.main())
+    sender.main()

@@ -9,14 +9,18 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.rotations import exp, multiply
-from amhe_cli.robots.go1.link import mail
-from amhe_cli.robots.go1.link.calibration import Calibration
+from amhe_cli.robots.go1.emulator.body import EmulatedBody
+from amhe_cli.robots.go1.kinematics import HOME, HOME_HEIGHT
+from amhe_cli.robots.go1.link import mail, wire
+from amhe_cli.robots.go1.link.calibration import Calibration, average, check_pivot, offset_of, trunk_height
 from amhe_cli.robots.go1.link.clock import Clock
+from amhe_cli.robots.go1.link.command import MotorCommand
 from amhe_cli.robots.go1.model import Box
 from amhe_cli.robots.go1.poses.feed import TimedPose
+from amhe_cli.robots.go1.poses.frame import offset_pose, rigid_body
 from amhe_cli.robots.go1.poses.source import PoseError
-from amhe_cli.robots.go1.resting import trunk_height
 from amhe_cli.robots.go1.settings import Go1Settings
+from amhe_cli.robots.go1.tasks import find_task
 
 NOTHING: Any = SimpleNamespace(connect=lambda: None, samples=list)
 #: As a Go1 lies, its calves folded [rad].
@@ -89,3 +93,73 @@ def test_a_robot_that_falls_silent_is_reported() -> None:
     calibration = Calibration(NOTHING, cameras, Go1Settings(), Clock(), Box())
     with pytest.raises(PoseError, match="0 states of the robot came in 0.5 s"):
         calibration.offsets(lambda text: None, 0.5)
+
+
+TRUE = (np.array([0.6, 0.1, 0.15]), exp(np.array([0.02, -0.01, 0.4])))
+OFFSET = (0.05, -0.02, -0.1, 0.1, 0.2, -1.0)
+BOX_SIZE = np.array([0.3, 0.5, 0.3])
+
+
+def test_an_offset_leads_there_and_back() -> None:
+    body = rigid_body(TRUE, OFFSET)
+    np.testing.assert_allclose(offset_of(body, TRUE), OFFSET, atol=1e-12)
+    place, turn = offset_pose(body, offset_of(body, TRUE))
+    np.testing.assert_allclose(place, TRUE[0], atol=1e-12)
+    np.testing.assert_allclose(turn, TRUE[1], atol=1e-12)
+
+
+def test_noise_is_averaged_whatever_the_sign_of_the_quaternions() -> None:
+    rng = np.random.default_rng(0)
+    seen = [
+        (
+            TRUE[0] + 0.001 * rng.standard_normal(3),
+            (-1.0) ** i * multiply(TRUE[1], exp(0.003 * rng.standard_normal(3))),
+        )
+        for i in range(200)
+    ]
+    place, turn = average(seen, "box")
+    np.testing.assert_allclose(place, TRUE[0], atol=4e-4)
+    np.testing.assert_allclose(abs(turn @ TRUE[1]), 1.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("step", [(np.array([0.02, 0.0, 0.0]), 0.0), (np.zeros(3), 0.05)])
+def test_what_moves_is_refused(step: tuple[np.ndarray, float]) -> None:
+    moved = (TRUE[0] + step[0], multiply(TRUE[1], exp(np.array([0.0, 0.0, step[1]]))))
+    with pytest.raises(PoseError, match="'box' does not stand still"):
+        average([TRUE] * 20 + [moved] * 20, "box")
+
+
+@pytest.mark.parametrize(
+    ("place", "message"), [([0.6, 0.15, -0.1], "up axis z"), ([0.0, 0.0, 0.3], "check its name"),
+                        ([600.0, 100.0, 150.0], "metres")],
+)  # fmt: skip
+def test_a_pivot_that_is_elsewhere_is_refused(place: list[float], message: str) -> None:
+    with pytest.raises(PoseError, match=message):
+        check_pivot((np.array(place), TRUE[1]), TRUE, BOX_SIZE, "box")
+
+
+def test_markers_may_stand_off() -> None:
+    check_pivot((np.array([0.6, 0.1, 0.4]), TRUE[1]), TRUE, BOX_SIZE, "box")
+
+
+LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def test_a_lying_robot_is_at_rest_where_it_should_be_and_as_high_as_its_joints_say() -> None:
+    plant = EmulatedBody(find_task("t1"), np.random.default_rng(0))
+    trunk = plant.state.trunk
+    assert trunk_height(trunk.orientation, plant.state.joints) == pytest.approx(trunk.position[2], abs=0.002)
+    for _ in range(1000):
+        plant.obey(MotorCommand(wire.DAMPED))
+    after = plant.state.trunk
+    np.testing.assert_allclose(after.position, trunk.position, atol=1e-3)
+    np.testing.assert_allclose(after.position[:2], 0.0, atol=1e-3)
+    np.testing.assert_allclose(abs(after.orientation @ LEVEL), 1.0, atol=1e-4)
+
+
+def test_a_standing_robot_is_as_high_as_its_legs() -> None:
+    assert trunk_height(LEVEL, HOME) == pytest.approx(HOME_HEIGHT, abs=0.02)
+
+
+def test_a_robot_on_its_side_rests_on_its_side() -> None:
+    assert 0.1 < trunk_height(exp(np.array([0.5 * np.pi, 0.0, 0.0])), HOME) < 0.3

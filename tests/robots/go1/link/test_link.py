@@ -394,7 +394,8 @@ def test_a_plan_that_waited_in_the_pipe_is_as_old_as_it_is() -> None:
     ours, theirs = map(Pipe, ends)
     sender = Sender(QUICK, None, theirs, CLOCK, -1, -1, False)  # type: ignore[arg-type]
     sent = CLOCK.now() - 0.5
-    ours.send(mail.plan_message(Targets(sent, 0.02, np.tile(HOME, (16, 1))), sent - 0.1, sent))
+    plan = Targets(sent, 0.02, np.tile(HOME, (16, 1)))
+    ours.send({"plan": plan, "pose_time": sent - 0.1, "plan_time": sent})
     sender._read_pipe()
     assert (sender._inbox.plan_time, sender._inbox.pose_time) == (sent, sent - 0.1)
     ours.close()
@@ -404,11 +405,11 @@ def test_a_plan_that_waited_in_the_pipe_is_as_old_as_it_is() -> None:
 def test_what_a_process_said_last_is_read_after_it_has_gone() -> None:
     ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     ours, theirs = map(Pipe, ends)
-    ours.send(b"never read")
-    theirs.send(b"last words")
+    ours.send("never read")
+    theirs.send("last words")
     theirs.close()
-    assert not ours.send(b"too late")
-    assert list(ours.received()) == [b"last words"]
+    assert not ours.send("too late")
+    assert list(ours.received()) == ["last words"]
     assert not ours.open
     ours.close()
 

@@ -121,7 +121,7 @@ _PROGRAM = """
 import sys, time
 from amhe_cli.robots.go1.poses.feed import FeedOptions, PoseFeed
 with PoseFeed(FeedOptions("udp", "127.0.0.1", int(sys.argv[1]), ("go1", "box"), 20.0)) as feed:
-    while not any("connecting" in message for message in feed._messages()):
+    while not feed._messages():
         time.sleep(0.01)
     print(feed._child.process.pid, flush=True)
     time.sleep(60)
