@@ -26,8 +26,8 @@ This page is written by `make docs` from the commands' own help; a test holds th
 
 Results go to stdout, everything else to stderr. With `--json` stdout is one JSON object, the content of
 `result.json`. A setting comes from, in this order: `--set`, the environment (`AMHE_CLIPS__COUNT=40` for
-`clips.count`), `--config`, the system's own `settings:`, its default. Files of a command appear whole or not
-at all.
+`clips.count`), `--config`, `amhe.toml` beside the logs, the system's own `settings:`, its default. Files of a
+command appear whole or not at all. `--for` and `--duration` are former names of `--seconds`.
 
 ## Completion
 
@@ -37,16 +37,19 @@ switches it on:
 
 | shell | file | line |
 |---|---|---|
-| bash 4.4 or newer | `~/.bashrc` | `eval "$(_AMHE_COMPLETE=bash_source amhe)"` |
-| zsh | `~/.zshrc` | `eval "$(_AMHE_COMPLETE=zsh_source amhe)"` |
-| fish | `~/.config/fish/completions/amhe.fish` | `_AMHE_COMPLETE=fish_source amhe \\| source` |
+| bash 4.4 or newer | `~/.bashrc` | `eval "$(amhe completion bash)"` |
+| zsh | `~/.zshrc` | `eval "$(amhe completion zsh)"` |
+| fish | `~/.config/fish/completions/amhe.fish` | `amhe completion fish \\| source` |
 """
 
 
 def document() -> str:
     """The whole page."""
     group = click.Context(amhe, info_name="amhe", **{**WIDE, **amhe.context_settings})
-    parts = [HEAD, _section("amhe", amhe.get_help(group))]
+    parts = [
+        HEAD,
+        _section("amhe", amhe.get_help(group)),
+    ]
     for name in sorted(amhe.commands):
         command = amhe.commands[name]
         context = click.Context(command, info_name=name, parent=group, **WIDE)

@@ -14,7 +14,7 @@ LOGS = {"pendulum": "pendulum", "pusher": "pusher", "t1": "go1_push", "t4": "go1
 def test_a_bundled_log_is_read_by_its_system_without_options(name: str, system: str) -> None:
     path = bundled_root() / "examples" / "logs" / f"{name}.mcap"
     assert path.stat().st_size < 2**20
-    inputs = Inputs(None, {}, None, None, None)
+    inputs = Inputs()
     opened = inputs.open([path])
     assert opened.name == system
     (log,) = inputs.read(opened, [path])

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
-import click
-
-from amhe_cli.cli import parsing
+from amhe_cli.cli.command import Given, Option, flag, in_panel, option
+from amhe_cli.cli.kinds import WholeNumber
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
@@ -20,38 +19,39 @@ if TYPE_CHECKING:
     from amhe_cli.robots.go1.run import Run
 
 POSES = ("natnet", "motioncapture", "udp")
-_PORT = parsing.WholeNumber(1, 65535)
 #: Of the attributes of a terminal: flags of its input, the keys that mean something to it, and none of them.
 _INPUT, _CONTROL, _NO_KEY = 0, 6, b"\0"
 
-#: Options by which a real robot and its motion capture are reached, as one argument.
-reach_options = parsing.bundled(
-    "wire",
-    dict,
-    ("host", "port", "pose", "pose_host", "pose_port"),
-    click.option("--host", metavar="ADDRESS", help="go1: of the robot.  [default: 192.168.123.10]"),
-    click.option("--port", type=_PORT, metavar="N", help="go1: of the robot.  [default: 8007]"),
-    click.option("--pose", type=click.Choice(POSES), help="go1: kind of motion capture.  [default: natnet]"),
-    click.option(
+_PORT = WholeNumber(1, 65535)
+#: Options by which a real robot and its motion capture are reached.
+REACH = in_panel(
+    "A real Go1",
+    option("--host", "Of the robot.  [default: 192.168.123.10]", metavar="ADDRESS"),
+    option("--port", "Of the robot.  [default: 8007]", _PORT),
+    option("--pose", "Kind of motion capture.  [default: natnet]", POSES),
+    option(
         "--pose-host",
-        metavar="ADDRESS",
-        help="go1: of motion capture; motioncapture: KIND:ADDRESS; udp: to listen on.  "
+        "Of motion capture; motioncapture: KIND:ADDRESS; udp: to listen on.  "
         "[default: natnet 192.168.123.100, udp 127.0.0.1]",
+        metavar="ADDRESS",
     ),
-    click.option(
-        "--pose-port", type=_PORT, metavar="N", help="go1: likewise.  [default: natnet 1510, udp 1512]"
-    ),
+    option("--pose-port", "Likewise.  [default: natnet 1510, udp 1512]", _PORT),
 )
 #: What a dry run does at a real robot.
 CHECKS = "go1: check robot, poses, box and this computer's pace; send nothing that moves."
 
 
-def dry_run_option(about: str) -> Callable[[parsing.F], parsing.F]:
+def target(about: str) -> Option:
+    """A simulation, or the robot."""
+    return option("--target", about, ("sim", "go1"), default="sim", show_default=True)
+
+
+def dry_run_option(about: str) -> Option:
     """Nothing moves."""
-    return click.option("--dry-run", is_flag=True, help=about)
+    return flag("--dry-run", about)
 
 
-def wire_of(target: str, wire: Mapping[str, Any]) -> WireOptions | None:
+def wire_of(target: str, chosen: Given) -> WireOptions | None:
     """How the robot is reached; None: it is simulated.
 
     Raises:
@@ -59,6 +59,7 @@ def wire_of(target: str, wire: Mapping[str, Any]) -> WireOptions | None:
     """
     from amhe_cli.core.errors import ConfigError
 
+    wire = chosen.pick(*(str(one.name) for one in REACH))
     given = {name: value for name, value in wire.items() if value}
     if target != "go1":
         if given:
@@ -76,8 +77,7 @@ def dry_run(session: Session, run: Run) -> None:
 
     with closing(run.episode.belief), run.target as target:  # type: ignore[union-attr]
         found = target.check() | rehearse(run)
-    if session.json:
-        session.print_json(session.record(checks=found))
+    if session.gave(session.record(checks=found)):
         return
     for name, value in found.items():
         print(f"{name}: {value}")

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from amhe_cli.cli import log_path, options, parsing
-from amhe_cli.cli.model_path import ModelPath, model_file, urdf_options
+from amhe_cli.cli import options
+from amhe_cli.cli.command import Given, argument, command, flag, option
+from amhe_cli.cli.kinds import LOG, MODEL, episodes
 from amhe_cli.cli.session import LOSSY, Session
 
 if TYPE_CHECKING:
@@ -41,28 +42,21 @@ def _required(ctx: click.Context, param: click.Parameter, given: Sequence[str]) 
     return found
 
 
-@click.command(cls=parsing.Command, short_help="What is wrong with a model, and what will a log tell?")
-@click.argument("model", type=ModelPath(exists=True, dir_okay=False, readable=False, path_type=Path))
-@click.argument("logs", nargs=-1, type=log_path.LOG, callback=log_path.episodes, metavar="[LOG]...")
-@options.where
-@click.option(
-    "--require",
-    metavar="'NAME<5%'",
-    multiple=True,
-    callback=_required,
-    help="Exit code 3 if the sd expected of this parameter is larger; repeat for more.",
+@command(
+    "What is wrong with a model, and what will a log tell?",
+    argument("model", MODEL),
+    argument("logs", LOG, nargs=-1, callback=episodes, metavar="[LOG]..."),
+    options.where,
+    option(
+        "--require",
+        "Exit code 3 if the sd expected of this parameter is larger; repeat for more.",
+        metavar="'NAME<5%'",
+        multiple=True,
+        callback=_required,
+    ),
+    flag("--no-meshes", "Read a URDF without its meshes."),
 )
-@click.option("--no-meshes", is_flag=True, help="Read a URDF without its meshes.")
-@options.common
-@click.pass_obj
-def check(
-    session: Session,
-    model: Path | str,
-    logs: tuple[Path, ...],
-    inputs: Inputs,
-    require: dict[str, float],
-    no_meshes: bool,
-) -> int | None:
+def check(session: Session, given: Given) -> int | None:
     """Look through MODEL for numbers that no robot has: the worst first, each with what would cure it.
 
     MODEL is an MJCF or URDF file, or menagerie:NAME. Masses and inertias are held against shapes, left
@@ -75,27 +69,27 @@ def check(
     from amhe_cli.check.findings import worst_first
     from amhe_cli.check.model import check_model, total_mass
     from amhe_cli.check.motion import motions, still
+    from amhe_cli.cli.inputs import model_file, urdf_options
     from amhe_cli.estimation.design.expected import expected
     from amhe_cli.system.model.files import compiled, read_spec
 
-    session.hush_mujoco()
+    logs, require = given.logs, given.require
     if require and not logs:
         raise click.UsageError("--require is about what a log will tell: give a LOG")
-    path = model_file(model)
-    made = compiled(read_spec(path, urdf_options(path, not no_meshes)), path.name)
+    path = model_file(given.model)
+    made = compiled(read_spec(path, urdf_options(path, not given.no_meshes)), path.name)
     found, moved, hope = list(check_model(made)), (), None
     if logs:
-        system, read = _read(inputs, path, logs, not no_meshes)
+        system, read = _read(given.inputs, path, logs, not given.no_meshes)
         moved = motions(system, read)
         found += still(moved)
         hope = expected(system, read)
     found = worst_first(found)
     session.warnings += [f"{one.where}: {one.what}" for one in found]
     missed = _missed(hope, require)
-    if session.json:
-        told = {} if hope is None else _record(hope, moved, missed)
-        listed = [asdict(one) for one in found]
-        session.print_json(session.record(model=str(path), mass=total_mass(made), findings=listed, **told))
+    told = {} if hope is None else _record(hope, moved, missed)
+    listed = [asdict(one) for one in found]
+    if session.gave(session.record(model=str(path), mass=total_mass(made), findings=listed, **told)):
         return LOSSY if missed else None
     print(f"{path.name}: {total_mass(made):.4g} kg, {made.njnt} joints, {made.nu} actuators")
     _print_findings(session, found)

@@ -3,61 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import click
-
-from amhe_cli.cli import completion, log_path, options, parsing
+from amhe_cli.cli import completion, options
+from amhe_cli.cli.command import Given, argument, command, flag, option
+from amhe_cli.cli.kinds import LOG, each_episode, episodes
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
     from amhe_cli.cli.progress import Shown
-    from amhe_cli.cli.settings import Overrides
     from amhe_cli.system.system import System
 
 
-@click.command(cls=parsing.Command, short_help="Which of several models predicts better?")
-@click.argument("given", nargs=-1, required=True, metavar="SYSTEM...", shell_complete=completion.systems)
-@click.option(
-    "--logs",
-    multiple=True,
-    required=True,
-    type=log_path.LOG,
-    callback=log_path.episodes,
-    metavar="LOG",
-    help="Log to fit; more may follow, as in --logs run*.csv.",
+@command(
+    "Which of several models predicts better?",
+    argument("systems", nargs=-1, required=True, metavar="SYSTEM...", shell_complete=completion.systems),
+    option(
+        "--logs",
+        "Log to fit; more may follow, as in --logs run*.csv.",
+        LOG,
+        multiple=True,
+        required=True,
+        callback=episodes,
+    ),
+    options.held_out("Log to score on"),
+    flag(
+        "--friction",
+        "Compare the friction models M1 to M6 of the one SYSTEM, and take the smallest within one standard "
+        "error of the best.",
+    ),
+    options.msg_path,
+    options.max_time,
+    options.work,
+    options.tuning,
+    options.output,
 )
-@options.held_out("Log to score on")
-@click.option(
-    "--friction",
-    is_flag=True,
-    help="Compare the friction models M1 to M6 of the one SYSTEM, and take the smallest within one standard "
-    "error of the best.",
-)
-@options.msg_path
-@click.option(
-    "--max-time",
-    type=parsing.Number(min=0, min_open=True),
-    metavar="S",
-    help="Share this time among the systems: the best so far of each.",
-)
-@options.work
-@options.tuning
-@options.out
-@options.common
-@click.pass_obj
-def compare(
-    session: Session,
-    given: tuple[str, ...],
-    logs: tuple[Path, ...],
-    held_out: tuple[Path, ...],
-    friction: bool,
-    msg_path: Path | None,
-    overrides: Overrides,
-    out: options.Output,
-    **how: Any,
-) -> None:
+def compare(session: Session, given: Given) -> None:
     """Fit each SYSTEM to the same logs, and compare how well they predict what was not fitted.
 
     SYSTEM is a bundled system or a folder with a system.yaml. With --friction it is one, and the models are
@@ -65,40 +48,45 @@ def compare(
     Writes result.json and report.html, and the files of each identification in a folder of its name.
     """
     from amhe_cli.api.compare import compare as run
-    from amhe_cli.cli.inputs import Inputs
     from amhe_cli.cli.progress import progress
     from amhe_cli.report.comparison import comparison_table, ratio_table
     from amhe_cli.report.tables import rich_table
 
-    session.hush_mujoco()
-    systems, more = _parted(given)
-    logs = logs + log_path.episodes(click.get_current_context(), click.Argument(["logs"]), more)
-    folder = out.reserve()
-    inputs = [Inputs(name, {}, msg_path, None, None) for name in systems]
-    opened = [one.open(logs, overrides) for one in inputs]
-    if friction:
-        opened = _with_frictions(opened)
-        inputs = inputs * len(opened)
-    read = [one.read(system, logs) for one, system in zip(inputs, opened, strict=True)]
-    scored = [one.read(system, held_out) for one, system in zip(inputs, opened, strict=True)]
+    names, more = _parted(given.systems)
+    logs, folder = given.logs + each_episode(more), given.reserve()
+    inputs = [replace(given.inputs, system=name) for name in names]
+    systems = [one.open(logs) for one in inputs]
+    if given.friction:
+        systems = _with_frictions(systems)
+        inputs = inputs * len(systems)
+    pairs = list(zip(inputs, systems, strict=True))
+    read = [one.read(system, logs) for one, system in pairs]
+    scored = [one.read(system, given.held_out) for one, system in pairs] if given.held_out else None
     with progress(session, "compare", _shown) as show:
-        unseen = scored if held_out else None
-        found = run(opened, read, held_out=unseen, simplest=friction, progress=show, **how)
+        how = given.pick("seed", "threads", "engine", "max_time")
+        found = run(systems, read, held_out=scored, simplest=given.friction, progress=show, **how)
     record = session.record(**found.record(), out=str(folder))
     found.write(folder, record, session.command_line)
-    if session.json:
-        session.print_json(record)
+    if session.gave(record):
         return
     console = session.console()
-    console.print(rich_table(comparison_table(found.names, found.horizons)))
-    console.print()
-    console.print(rich_table(ratio_table(found.names, found.horizons, found.best)))
-    console.print()
+    console.print(rich_table(comparison_table(found.names, found.horizons)), "")
+    console.print(rich_table(ratio_table(found.names, found.horizons, found.best)), "")
     for text in found.verdicts:
         console.print(text)
-    if friction:
-        console.print("\n".join(_lines(opened[0], found.names[found.best])), soft_wrap=True)
+    if given.friction:
+        console.print("\n".join(_lines(systems[0], found.names[found.best])), soft_wrap=True)
     console.print(f"report: {folder / 'report.html'}", soft_wrap=True)
+
+
+def _parted(given: Sequence[str]) -> tuple[list[str], list[Path]]:
+    """Systems, and logs that the shell wrote behind `--logs`: what exists and is no system."""
+    logs = [name for name in given if Path(name).exists() and not (Path(name) / "system.yaml").is_file()]
+    return [name for name in given if name not in logs], [Path(name) for name in logs]
+
+
+def _shown(text: str) -> Shown:
+    return text, 0, None
 
 
 def _with_frictions(systems: Sequence[System]) -> list[System]:
@@ -119,13 +107,3 @@ def _lines(plain: System, name: str) -> list[str]:
     entries = friction_entries(plain, name)
     head = f"{name}: {MODELS[name][1]}" + ("; add to the parameters of system.yaml:" if entries else "")
     return [head, *(f"  {key}: {flow(entry)}" for key, entry in entries.items())]
-
-
-def _parted(given: Sequence[str]) -> tuple[list[str], tuple[Path, ...]]:
-    """Systems, and logs that the shell wrote behind `--logs`: what exists and is no system."""
-    logs = [name for name in given if Path(name).exists() and not (Path(name) / "system.yaml").is_file()]
-    return [name for name in given if name not in logs], tuple(map(Path, logs))
-
-
-def _shown(text: str) -> Shown:
-    return text, 0, None

@@ -5,15 +5,14 @@ The functions are `shell_complete=` of options. They import nothing heavy: a she
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable
 from glob import escape
 from pathlib import Path
 
 import click
-from click.shell_completion import BashComplete, CompletionItem, add_completion_class, split_arg_string
+from click.shell_completion import CompletionItem
 
-from amhe_cli.cli.log_path import LOG
+from amhe_cli.cli.kinds import LOG
 
 #: The system of commands that were given no log.
 _ONLY = "go1_push"
@@ -74,33 +73,3 @@ def _beginning(names: Iterable[str], incomplete: str) -> list[CompletionItem]:
 def _listed(names: Iterable[str], incomplete: str) -> list[CompletionItem]:
     done, comma, _ = incomplete.rpartition(",")
     return _beginning((f"{done}{comma}{name}" for name in names if name not in done.split(",")), incomplete)
-
-
-class _Bash(BashComplete):
-    """Bash cuts words at ':' and '=', and takes an answer for their last piece only.
-
-    So it is asked for the line up to the cursor, in place of its pieces, and for the last piece.
-    """
-
-    source_template = (
-        BashComplete.source_template.replace("${COMP_WORDS[*]}", "${COMP_LINE:0:COMP_POINT}")
-        .replace("COMP_CWORD=$COMP_CWORD", 'COMP_CWORD="${COMP_WORDS[COMP_CWORD]}"')
-        .replace("COMPREPLY+=($value)", 'COMPREPLY+=($value); [[ "$value" == *= ]] && compopt -o nospace')
-    )
-    #: What of the word to be completed bash has cut off.
-    _before = ""
-
-    def get_completion_args(self) -> tuple[list[str], str]:
-        """The words before the one that is to be completed, and that one."""
-        line, piece = os.environ["COMP_WORDS"], os.environ["COMP_CWORD"].lstrip(":=")
-        words = split_arg_string(line)
-        incomplete = "" if not words or line[-1].isspace() else words.pop()
-        self._before = incomplete.removesuffix(piece)
-        return words[1:], incomplete
-
-    def format_completion(self, item: CompletionItem) -> str:
-        """One line for bash."""
-        return f"{item.type},{item.value.removeprefix(self._before)}"
-
-
-add_completion_class(_Bash)

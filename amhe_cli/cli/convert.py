@@ -6,54 +6,44 @@ from pathlib import Path
 
 import click
 
-from amhe_cli.cli import log_path, options, parsing
+from amhe_cli.cli import options
+from amhe_cli.cli.command import Given, command, option
 from amhe_cli.cli.progress import Shown, progress
 from amhe_cli.cli.session import Session
 
 
-@click.command(cls=parsing.Command, short_help="A log as tables: CSV, npz.")
-@click.argument(
-    "logs", nargs=-1, required=True, type=log_path.LOG, callback=log_path.episodes, metavar="LOG..."
+@command(
+    "A log as tables: CSV, npz.",
+    options.logs,
+    option(
+        "-o --out",
+        "What to write: OUT.csv or OUT.npz; without an ending, a folder of CSV files.",
+        click.Path(path_type=Path),
+        required=True,
+        metavar="OUT",
+    ),
+    option(
+        "--each",
+        "Write each LOG in this form into the folder OUT; needed for several logs.",
+        ("csv", "npz", "folder"),
+    ),
+    options.system_or("none: everything that is numeric is written"),
+    options.topics,
+    options.msg_path,
+    options.force("into an existing OUT"),
 )
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    required=True,
-    metavar="OUT",
-    help="What to write: OUT.csv or OUT.npz; without an ending, a folder of CSV files.",
-)
-@click.option(
-    "--each",
-    type=click.Choice(("csv", "npz", "folder")),
-    help="Write each LOG in this form into the folder OUT; needed for several logs.",
-)
-@options.system_or("none: everything that is numeric is written")
-@options.topics
-@options.msg_path
-@options.force
-@options.common
-@click.pass_obj
-def convert(
-    session: Session,
-    logs: tuple[Path, ...],
-    out: Path,
-    each: str | None,
-    system: str | None,
-    topics: dict[str, str],
-    msg_path: Path | None,
-    force: bool,
-) -> None:
+def convert(session: Session, given: Given) -> None:
     """Write LOG... as tables, with the log's metadata.
 
     With --system only the signals of that system are written, by their names.
     """
     from amhe_cli.core.errors import ConfigError
-    from amhe_cli.logs.convert import check_out, convert
+    from amhe_cli.logs.convert import check_out
+    from amhe_cli.logs.convert import convert as run
     from amhe_cli.system.system import System
 
-    session.hush_mujoco()
-    if topics and not system:
+    logs, out, each = given.logs, given.out, given.each
+    if given.topics and not given.system:
         raise ConfigError("`topics`: name the `system` that these signals belong to")
     if len(logs) > 1 and each is None:
         raise click.UsageError("several logs: name the form of each with --each, and a folder with -o")
@@ -62,15 +52,15 @@ def convert(
     if len(set(places)) < len(places):
         raise ConfigError("several logs have the same name; convert them one by one")
     for place in places:
-        check_out(place, force)
-    chosen = System.load(system) if system else None
+        check_out(place, given.force)
+    system = System.load(given.system) if given.system else None
+    how = given.pick("topics", "msg_path", "force")
     for log, place in zip(logs, places, strict=True):
         with progress(session, log.name, _shown) as show:
-            convert(log, place, chosen, topics=topics, msg_path=msg_path, force=force, progress=show)
+            run(log, place, system, progress=show, **how)
         if not session.json:
             print(f"wrote {place}")
-    if session.json:
-        session.print_json(session.record(files=[str(place) for place in places]))
+    session.gave(session.record(files=[str(place) for place in places]))
 
 
 def _shown(count: int) -> Shown:

@@ -2,58 +2,35 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-import click
-
-from amhe_cli.cli import options, parsing
+from amhe_cli.cli import options
+from amhe_cli.cli.command import Given, command, option
+from amhe_cli.cli.kinds import PORT
 from amhe_cli.cli.session import Session, stopping
-
-if TYPE_CHECKING:
-    from amhe_cli.cli.settings import Overrides
 
 MOCAP = ("natnet", "udp", "none")
 
 
-@click.command(cls=parsing.Command, short_help="A Go1 and its motion capture, emulated on this computer.")
-@options.task("Whose box to put down.")
-@click.option("--host", default="127.0.0.1", show_default=True, metavar="ADDRESS", help="To listen on.")
-@click.option(
-    "--port",
-    type=parsing.WholeNumber(0, 65535),
-    default=8007,
-    show_default=True,
-    metavar="N",
-    help="Of the robot.",
+@command(
+    "A Go1 and its motion capture, emulated on this computer.",
+    options.task("Whose box to put down."),
+    option("--host", "To listen on.", default="127.0.0.1", show_default=True, metavar="ADDRESS"),
+    option("--port", "Of the robot.", PORT, default=8007, show_default=True),
+    option("--mocap", "Its cameras' protocol.", MOCAP, default="natnet", show_default=True),
+    option(
+        "--mocap-port",
+        "natnet: where Motive listens; udp: where poses are sent to.  [default: 1510 or 1512]",
+        PORT,
+    ),
+    option(
+        "--fault",
+        "What goes wrong, such as loss=0.02,after=5,hot=20 (docs/go1.md).",
+        default="",
+        metavar="NAME=V,...",
+    ),
+    options.seed,
+    options.tuning,
 )
-@options.choice("--mocap", MOCAP, "natnet", "Its cameras' protocol.")
-@click.option(
-    "--mocap-port",
-    type=parsing.WholeNumber(0, 65535),
-    metavar="N",
-    help="natnet: where Motive listens; udp: where poses are sent to.  [default: 1510 or 1512]",
-)
-@click.option(
-    "--fault",
-    default="",
-    metavar="NAME=V,...",
-    help="What goes wrong, such as loss=0.02,after=5,hot=20 (docs/go1.md).",
-)
-@options.seed
-@options.tuning
-@options.common
-@click.pass_obj
-def emulate(
-    session: Session,
-    task: str,
-    host: str,
-    port: int,
-    mocap: str,
-    mocap_port: int | None,
-    fault: str,
-    seed: int,
-    overrides: Overrides,
-) -> None:
+def emulate(session: Session, given: Given) -> None:
     """Emulate a Go1 in low-level mode, lying before the task's box, until interrupted.
 
     It speaks the robot's own UDP protocol, with MuJoCo physics behind it, and streams the poses of "go1" and
@@ -69,20 +46,20 @@ def emulate(
     from amhe_cli.robots.go1.run import RunOptions, task_and_system
     from amhe_cli.robots.go1.settings import settings_of
 
-    session.hush_mujoco()
-    chosen = RunOptions(task, target="go1", settings=overrides.all)
+    mocap, mocap_port = given.mocap, given.mocap_port
+    chosen = RunOptions(given.task, target="go1", settings=given.overrides.all)
     measured, system = task_and_system(chosen)
     s = settings_of(system).go1
     pose_port = mocap_port if mocap_port is not None else {"natnet": natnet.PORT}.get(mocap, udp.PORT)
     emulated = EmulatorOptions(
-        measured, host, port, mocap, pose_port, parse_faults(fault), s.slow, seed,  # type: ignore[arg-type]
+        measured, given.host, given.port, mocap, pose_port, parse_faults(given.fault), s.slow, given.seed,
         (s.trunk, s.box), (s.trunk_offset, s.box_offset),
         s.crc,
     )  # fmt: skip
     with stopping(session) as stopped, Emulator(emulated) as emulator:
         robot, cameras = emulator.address, emulator.mocap_address
         seen = f", motion capture on {cameras[0]}:{cameras[1]}" if cameras else ""
-        session.say("", f"a Go1 before the box of {task} on {robot[0]}:{robot[1]}{seen}; Ctrl-C ends")
+        session.say("", f"a Go1 before the box of {given.task} on {robot[0]}:{robot[1]}{seen}; Ctrl-C ends")
         take_priority(ROBOT)  # a robot does not wait for whoever plans on the same computer
         emulator.serve(stopped)
         accepted, rejected = emulator.counts

@@ -9,95 +9,72 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from amhe_cli.cli import completion, options, parsing
+from amhe_cli.cli import completion, options
+from amhe_cli.cli.command import Given, command, flag, option
+from amhe_cli.cli.kinds import COUNT, FOLDER, listed, pairs
 from amhe_cli.cli.progress import Shown, progress
 from amhe_cli.cli.session import Session, stopping
 
 if TYPE_CHECKING:
-    from amhe_cli.cli.settings import Overrides
     from amhe_cli.study.results import CellResult
     from amhe_cli.study.store import Store
-
-#: What --tasks is without the option: the paper's five.
-TASKS = ("t1", "t2", "t3", "t4", "t5")
 
 
 def _beliefs(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) -> dict[str, Path]:
     """TASK=FILE, repeated, as a dictionary."""
-    files = parsing.pairs(Path)(ctx, param, value)
+    files = pairs(Path)(ctx, param, value)
     for file in files.values():
         if not file.is_file():
             raise click.BadParameter(f"there is no file '{file}'", ctx, param)
     return files
 
 
-@click.command("eval", cls=parsing.Command, short_help="Tasks by modes by seeds: tables and figures.")
-@click.option(
-    "--tasks",
-    metavar="T,...",
-    shell_complete=completion.listed(options.TASKS),
-    callback=parsing.listed,
-    default=",".join(TASKS),
-    show_default=True,
-    help="As of amhe run.",
+@command(
+    "Tasks by modes by seeds: tables and figures.",
+    option(
+        "--tasks",
+        "As of amhe run.",
+        metavar="T,...",
+        shell_complete=completion.listed(options.TASKS),
+        callback=listed,
+        default="t1,t2,t3,t4,t5",
+        show_default=True,
+    ),
+    option(
+        "--modes",
+        "Likewise.  [default: all; with --ablate, adaptive]",
+        metavar="M,...",
+        shell_complete=completion.listed(options.MODES),
+        callback=listed,
+    ),
+    option(
+        "--seeds", "Seeds 0 to N - 1 of each, the same for all modes.", COUNT, default=15, show_default=True
+    ),
+    option(
+        "ablations --ablate",
+        "Try values of one setting, all others at the operating point; repeat for more. A key without a dot "
+        "is a setting of mhe, or else of control, or one of the paper's: L_MHE, B, dt_update, H, alpha, "
+        "w_mass, w_friction.",
+        multiple=True,
+        metavar="KEY=V,...",
+    ),
+    option(
+        "beliefs --belief",
+        "A belief.yaml that the baseline of a task believes; repeat for more.",
+        multiple=True,
+        metavar="TASK=FILE",
+        callback=_beliefs,
+    ),
+    options.duration,
+    options.engine,
+    options.spread,
+    flag("--resume", "Go on in OUT: run what is missing or has failed."),
+    option("--report", "Run nothing; make summary, tables and figures of OUT again.", FOLDER, metavar="OUT"),
+    options.tuning,
+    options.output,
+    name="eval",
 )
-@click.option(
-    "--modes",
-    metavar="M,...",
-    shell_complete=completion.listed(options.MODES),
-    callback=parsing.listed,
-    help="Likewise.  [default: all; with --ablate, adaptive]",
-)
-@click.option(
-    "--seeds",
-    type=parsing.WholeNumber(min=1),
-    metavar="N",
-    default=15,
-    show_default=True,
-    help="Seeds 0 to N - 1 of each, the same for all modes.",
-)
-@click.option(
-    "--ablate",
-    "ablations",
-    multiple=True,
-    metavar="KEY=V,...",
-    help="Try values of one setting, all others at the operating point; repeat for more. A key without a dot "
-    "is a setting of mhe, or else of control, or one of the paper's: L_MHE, B, dt_update, H, alpha, w_mass, "
-    "w_friction.",
-)
-@click.option(
-    "--belief",
-    "beliefs",
-    multiple=True,
-    metavar="TASK=FILE",
-    callback=_beliefs,
-    help="A belief.yaml that the baseline of a task believes; repeat for more.",
-)
-@options.duration("Stop each run after S seconds of it.")
-@options.engine
-@options.spread
-@click.option("--resume", is_flag=True, help="Go on in OUT: run what is missing or has failed.")
-@click.option(
-    "--report",
-    type=parsing.EXISTING_FOLDER,
-    metavar="OUT",
-    help="Run nothing; make summary, tables and figures of OUT again.",
-)
-@options.tuning
-@options.out
-@options.common
-@click.pass_obj
-def evaluate(
-    session: Session,
-    engine: str,
-    workers: int,
-    cluster: str | None,
-    resume: bool,
-    report: Path | None,
-    overrides: Overrides,
-    out: options.Output,
-    **wanted: Any,
-) -> None:
+def evaluate(session: Session, given: Given) -> None:
     """Run tasks in modes over seeds, and make the paper's tables and figures of what came out.
 
     Each run is a cell with a result file of its own in OUT/cells; what is done is kept, whatever stops the
@@ -111,23 +88,23 @@ def evaluate(
     from amhe_cli.study.store import open_store, start
     from amhe_cli.system.provenance import machine, now
 
-    if engine != "cpu":
+    if given.engine != "cpu":
         raise click.UsageError("eval runs one cell on each core of its workers: leave --engine out")
-    if report:
-        _tell(session, open_store(report), 0)
-        return
-    if resume and out.folder is None:
+    if given.report:
+        return _tell(session, open_store(given.report), 0)
+    if given.resume and given.out is None:
         raise click.UsageError("--resume goes on in a folder: name it with -o OUT")
-    chosen = EvalOptions(settings=overrides.all, **wanted)
+    wanted = given.pick("tasks", "modes", "seeds", "ablations", "beliefs")
+    chosen = EvalOptions(settings=given.overrides.all, duration=given.seconds, **wanted)
     study = study_of(chosen, session.command_line, now(), machine())
     cells = planned(chosen, study)
-    store = start(out.folder or out.reserve(), study, resume, out.force, cells)
+    store = start(given.out or given.reserve(), study, given.resume, given.force, cells)
     missing = store.missing(cells)
     if len(missing) < len(cells):
         session.say("", f"{len(cells) - len(missing)} of {len(cells)} cells are done already")
     shown = _counted(len(missing))
     with stopping(session) as stopped, progress(session, "eval", shown, every=True) as on_result:
-        conduct(store, missing, run_cell, pool_of(workers, cluster), stopped, on_result)
+        conduct(store, missing, run_cell, pool_of(given.workers, given.cluster), stopped, on_result)
     left = len(store.missing(cells))
     session.interrupted = stopped()
     _tell(session, store, left)
@@ -166,10 +143,8 @@ def _tell(session: Session, store: Store, left: int) -> None:
     from amhe_cli.robots.go1.tasks import TASKS as ALL
 
     report = write_study(store, {name: task.floor for name, task in ALL.items()}, MODES)
-    if session.json:
-        counts: dict[str, Any] = {"cells": report.cells, "failed": report.failures, "missing": left}
-        session.print_json(session.record(**counts, summary=report.summary, out=str(store.folder)))
-    else:
+    counts: dict[str, Any] = {"cells": report.cells, "failed": report.failures, "missing": left}
+    if not session.gave(session.record(**counts, summary=report.summary, out=str(store.folder))):
         console = session.console()
         for table in report.tables:
             console.print(f"{table.title}\n")

@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING
-
-import click
-
-from amhe_cli.cli import options, parsing
+from amhe_cli.cli import options
+from amhe_cli.cli.command import Given, argument, command
+from amhe_cli.cli.kinds import FOLDER
 from amhe_cli.cli.session import Session
 
-if TYPE_CHECKING:
-    from amhe_cli.cli.inputs import Inputs
-    from amhe_cli.cli.settings import Overrides
 
-
-@click.command(cls=parsing.Command, short_help="What a model lacks, or a log has wrong.")
-@click.argument("source", type=click.Path(path_type=Path, exists=True, file_okay=False), metavar="RESULT")
-@options.where
-@options.seed
-@options.tuning
-@options.common
-@click.pass_obj
-def explain(session: Session, source: Path, inputs: Inputs, seed: int, overrides: Overrides) -> None:
+@command(
+    "What a model lacks, or a log has wrong.",
+    argument("source", FOLDER, metavar="RESULT"),
+    options.where,
+    options.seed,
+    options.tuning,
+)
+def explain(session: Session, given: Given) -> None:
     """Name what explains the motion that the model of a RESULT does not.
 
     RESULT is the folder that `amhe identify` wrote; its logs must still be where they were. Some hundred
@@ -42,10 +35,9 @@ def explain(session: Session, source: Path, inputs: Inputs, seed: int, overrides
     from amhe_cli.estimation.uncertainty.misfit import ASKED
     from amhe_cli.report.missing import missing_record, print_missing
 
-    session.hush_mujoco()
-    found = viewed(source, inputs, overrides)
+    found = viewed(given.source, given.inputs)
     if found.belief is None:
-        raise ConfigError(f"{source}: is no result of `amhe identify`")
+        raise ConfigError(f"{given.source}: is no result of `amhe identify`")
     # from the prior: the fitted values make up for what is missing, and hide it
     opened = found.open().fixing(found.record.fixed)
     logs = named([log for group in found.read(opened) for log in group])
@@ -55,9 +47,7 @@ def explain(session: Session, source: Path, inputs: Inputs, seed: int, overrides
     if scales and max(scales) <= ASKED:  # what is left is so small that details of the smoothing decide
         missing = Missing(untested=f"the model misses no channel by more than {ASKED:g} times its noise")
     else:
-        parts, rng = [whole(log) for log in logs], np.random.default_rng(seed)
+        parts, rng = [whole(log) for log in logs], np.random.default_rng(given.seed)
         missing = run(system, parts, np.zeros(len(space)), rng)
-    if session.json:
-        session.print_json(session.record(missing=missing_record(missing)))
-    else:
+    if not session.gave(session.record(missing=missing_record(missing))):
         print_missing(missing, session.console())

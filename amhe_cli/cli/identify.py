@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from amhe_cli.cli import log_path, options, parsing
-from amhe_cli.cli.estimation_options import believed, narrowing
-from amhe_cli.cli.model_path import ModelPath
+from amhe_cli.cli import options
+from amhe_cli.cli.command import Given, command, option, setting
+from amhe_cli.cli.kinds import MODEL, NewFile
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
-    from amhe_cli.cli.inputs import Inputs
     from amhe_cli.cli.progress import Shown
-    from amhe_cli.cli.settings import Overrides
     from amhe_cli.estimation.core.result import Iteration
 
 
@@ -28,73 +26,53 @@ def _a_cause(ctx: click.Context, param: click.Parameter, value: str | None) -> s
     return value
 
 
-@click.command(cls=parsing.Command, short_help="Logs to parameters with honest uncertainty.")
-@click.argument(
-    "logs", nargs=-1, required=True, type=log_path.LOG, callback=log_path.episodes, metavar="LOG..."
+@command(
+    "Logs to parameters with honest uncertainty.",
+    options.logs,
+    options.where,
+    options.held_out("Log used only to validate"),
+    option(
+        "--model",
+        "Make the system of this MJCF or URDF file, or menagerie:NAME, as `amhe init` does, in OUT/system.",
+        MODEL,
+        panel="Logs and system",
+    ),
+    options.believed("Start from an earlier belief.yaml instead of the system's own prior."),
+    options.narrowing,
+    option(
+        "--repair",
+        "Give a copy of the system, in OUT/system, what it lacks: each cause, or the one named, stays if "
+        "held-out errors fall by more than chance.",
+        is_flag=False,
+        flag_value="all",
+        callback=_a_cause,
+        metavar="[KIND@PLACE]",
+    ),
+    option(
+        "--method",
+        "Estimator; linearised falls back on cmaes where it does not help.",
+        ("linearised", "cmaes"),
+        default="linearised",
+        show_default=True,
+    ),
+    setting(
+        "match",
+        "Compare the motion under what drives it, the joints' efforts along it, or both.  [default: the "
+        "system's]",
+        ("motion", "effort", "both"),
+    ),
+    options.max_time,
+    option(
+        "--checkpoint",
+        "Save the search here as it goes; resume from it, to the bit, if it exists.",
+        NewFile(),
+    ),
+    options.work,
+    options.spread_if_chosen,
+    options.tuning,
+    options.output,
 )
-@options.where
-@click.option(
-    "--model",
-    type=ModelPath(exists=True, dir_okay=False, readable=False, path_type=Path),
-    metavar="FILE",
-    help="Make the system of this MJCF or URDF file, or menagerie:NAME, as `amhe init` does, in OUT/system.",
-)
-@options.held_out("Log used only to validate")
-@believed("Start from an earlier belief.yaml instead of the system's own prior.")
-@narrowing
-@click.option(
-    "--repair",
-    is_flag=False,
-    flag_value="all",
-    callback=_a_cause,
-    metavar="[KIND@PLACE]",
-    help="Give a copy of the system, in OUT/system, what it lacks: each cause, or the one named, stays if "
-    "held-out errors fall by more than chance.",
-)
-@options.choice(
-    "--method",
-    ("linearised", "cmaes"),
-    "linearised",
-    "Estimator; linearised falls back on cmaes where it does not help.",
-)
-@options.setting(
-    "match",
-    type=click.Choice(["motion", "effort", "both"]),
-    help="Compare the motion under what drives it, the joints' efforts along it, or both.  [default: the "
-    "system's]",
-)
-@click.option(
-    "--max-time",
-    type=parsing.Number(min=0, min_open=True),
-    metavar="S",
-    help="Search and conclude within this time: the best so far, without the checks that take too long.",
-)
-@parsing.new_file(
-    "--checkpoint", use="Save the search here as it goes; resume from it, to the bit, if it exists."
-)
-@options.work
-@options.spread_if_chosen
-@options.tuning
-@options.out
-@options.common
-@click.pass_obj
-def identify(
-    session: Session,
-    logs: tuple[Path, ...],
-    inputs: Inputs,
-    model: Path | str | None,
-    held_out: tuple[Path, ...],
-    belief: Path | None,
-    belief_anyway: bool,
-    fix: dict[str, float],
-    only: list[str] | None,
-    repair: str | None,
-    workers: int | None,
-    cluster: str | None,
-    overrides: Overrides,
-    out: options.Output,
-    **how: Any,
-) -> None:
+def identify(session: Session, given: Given) -> None:
     """Find the parameters that make the simulation follow LOG...
 
     A LOG is an MCAP file, a rosbag2 folder, a ROS 1 bag, a table (CSV, npz, parquet and others), a ULog,
@@ -105,42 +83,45 @@ def identify(
 
     from amhe_cli.api.identify import Interrupted
     from amhe_cli.api.identify import identify as run
-    from amhe_cli.api.repair import repair as repaired
+    from amhe_cli.api.repair import repair
     from amhe_cli.cli.progress import progress
     from amhe_cli.logs import members, read_log
     from amhe_cli.logs.truth import truth_in_metadata
     from amhe_cli.report.identification import print_identification
     from amhe_cli.study.executors import executor_of
 
-    session.hush_mujoco()
-    if model and inputs.system:
+    inputs, logs = given.inputs, given.logs
+    if given.model and inputs.system:
         raise click.UsageError("give --system or --model: a model's system is made anew")
-    folder = out.reserve()
-    _check_apart(logs, held_out)
-    if model:
-        inputs = inputs.of_model(model, logs, folder / "system")
-    opened = inputs.open(logs, overrides)
-    known: Any = {"fix": fix, "only": only, "belief_anyway": belief_anyway}
-    opened.starting_from(belief, **known)  # a mistake in an option is found before long logs are read
-    training = inputs.read(opened, logs)
-    validation = read_log(held_out, opened, msg_path=inputs.msg_path)
-    if repair:
-        run = partial(repaired, cause=None if repair == "all" else repair)
-    with progress(session, "identify", _shown) as show, executor_of(workers, cluster) as executor:
+    folder = given.reserve()
+    _check_apart(logs, given.held_out)
+    if given.model:
+        inputs = inputs.of_model(given.model, logs, folder / "system")
+    system = inputs.open(logs)
+    known: Any = given.pick("fix", "only", "belief_anyway")
+    system.starting_from(given.belief, **known)  # a mistake in an option is found before long logs are read
+    training = inputs.read(system, logs)
+    validation = read_log(given.held_out, system, msg_path=inputs.msg_path)
+    if given.repair:
+        run = partial(repair, cause=None if given.repair == "all" else given.repair)
+    known |= given.pick("method", "max_time", "checkpoint", "seed", "threads", "engine")
+    with (
+        progress(session, "identify", _shown) as show,
+        executor_of(given.workers, given.cluster) as executor,
+    ):
         try:
             result = run(
-                opened, training, held_out=validation, prior=belief, executor=executor,
-                progress=lambda iteration, total: show((iteration, total)), **known, **how,
+                system, training, held_out=validation, prior=given.belief, executor=executor,
+                progress=lambda iteration, total: show((iteration, total)), **known,
             )  # fmt: skip
         except Interrupted as stop:
             result = stop.result
     session.interrupted = result.found.interrupted
     record = session.record(**result.record(), out=str(folder))
     read = [*logs, *(one.path for path in logs for one in members(path))]
-    result.write(folder, record, session.command_line, read, held_out, out.force or bool(model))
-    if session.json:
-        session.print_json(record)
-    else:
+    force = given.force or bool(given.model)
+    result.write(folder, record, session.command_line, read, given.held_out, force)
+    if not session.gave(record):
         print_identification(result.found, folder, session.console(), truth_in_metadata(training))
 
 

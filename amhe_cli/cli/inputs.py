@@ -3,60 +3,77 @@
 from __future__ import annotations
 
 import json
+import os
+import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from amhe_cli.cli.kinds import MENAGERIE
+from amhe_cli.cli.settings import NONE, Overrides
+from amhe_cli.core.yaml_file import merged
+
 if TYPE_CHECKING:
-    from amhe_cli.cli.settings import Overrides
     from amhe_cli.core.log import Log
+    from amhe_cli.system.model.urdf import UrdfOptions
     from amhe_cli.system.system import System
+
+
+#: What belongs to the logs of a folder, in that folder: their system, noise, priors and settings.
+BESIDE = "amhe.toml"
 
 
 @dataclass(frozen=True, slots=True)
 class Inputs:
-    """The options --system, --topic, --msg-path, --from and --to.
+    """The options --system, --topic, --msg-path, --from, --to, --set and --config.
 
     Args:
         system: Name or folder of the system; None: the one that the logs name.
         topics: Name of a signal -> topic to read it from.
         msg_path: Folder of .msg files for message types that the logs do not define.
         start, end: Part of each log, in seconds from its start.
+        overrides: The user's settings.
     """
 
-    system: str | None
-    topics: Mapping[str, str]
-    msg_path: Path | None
-    start: float | None
-    end: float | None
+    system: str | Path | None = None
+    topics: Mapping[str, str] = field(default_factory=dict)
+    msg_path: Path | None = None
+    start: float | None = None
+    end: float | None = None
+    overrides: Overrides = NONE
 
-    def open(self, logs: Sequence[Path], overrides: Overrides | None = None) -> System:
-        """Load the system that the user named, or else the one that the logs name.
+    def open(self, logs: Sequence[Path]) -> System:
+        """Load the system that the user named, or else the one that amhe.toml or the logs name.
 
         What the logs state of their system, such as the size of a box, is taken where the system is theirs;
-        the user's settings win.
+        amhe.toml beside them wins over that, and the user's settings over both.
 
         Args:
             logs: Paths of the logs.
-            overrides: The user's settings; None: there are none.
 
         Raises:
             ConfigError: There is no such system, the logs name none or several, or a setting is wrong.
         """
-        from amhe_cli.cli.settings import Overrides
-        from amhe_cli.core.yaml_file import merged
         from amhe_cli.system.description.folders import find_system
         from amhe_cli.system.system import System
 
-        stated = {} if self.system else _stated(logs)
-        folder = find_system(self.system) if self.system else _folder_named_in(stated)
+        beside = _beside(logs)
+        named = self.system or beside.system
+        stated = {} if named else _stated(logs)
+        folder = find_system(named) if named else _folder_named_in(stated)
         own: dict[str, Any] = {}
         for metadata in stated.values():
             own = merged(own, _own_settings(metadata))
-        settings, schema = (overrides or Overrides({}, {})).suited(folder, own)
+        if beside.system is None or folder.resolve() == find_system(beside.system).resolve():
+            own = merged(own, beside.settings)
+        settings, schema = self.overrides.suited(folder, own)
         loaded = System.load(folder, settings, schema=schema)
         return loaded.reading(self.topics)
+
+    def names_system(self, logs: Sequence[Path]) -> bool:
+        """Whether the user or amhe.toml says which system logs are about."""
+        return bool(self.system or _beside(logs).system)
 
     def read(self, system: System, logs: Sequence[Path]) -> list[Log]:
         """Read logs for a system; where that fails, the error also names what they may be about instead.
@@ -89,7 +106,6 @@ class Inputs:
             ConfigError: The model cannot be read, or nothing in the logs is a part of it.
             LogError: A log cannot be read.
         """
-        from amhe_cli.cli.model_path import model_file, urdf_options
         from amhe_cli.init.folder import init_system
 
         path = model_file(model)
@@ -98,11 +114,65 @@ class Inputs:
         return replace(self, system=str(folder))
 
 
-def bundled_log() -> Path:
-    """The log that is replayed if none is given: a Go1 pushes a box onto another floor."""
-    from amhe_cli.core.bundled import bundled_logs
+def model_file(model: Path | str) -> Path:
+    """The file of a model; one of the menagerie is downloaded."""
+    from amhe_cli.init.menagerie import menagerie_model
 
-    return bundled_logs()["t4"]
+    return menagerie_model(model.removeprefix(MENAGERIE)) if isinstance(model, str) else model
+
+
+def urdf_options(
+    path: Path, meshes: bool = True, packages: Mapping[str, str] | None = None
+) -> UrdfOptions | None:
+    """How a URDF is read, with the packages that the environment names and more; None: the file is none."""
+    from amhe_cli.init.ros_packages import packages_in
+    from amhe_cli.system.model.urdf import UrdfOptions, is_urdf
+
+    more = {name: Path(folder) for name, folder in (packages or {}).items()}
+    return UrdfOptions({**packages_in(os.environ), **more}, meshes) if is_urdf(path) else None
+
+
+@dataclass(frozen=True, slots=True)
+class _Beside:
+    """What amhe.toml says: a system, and settings as they stand in system.yaml."""
+
+    system: str | Path | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+
+def _beside(logs: Sequence[Path]) -> _Beside:
+    """What amhe.toml says, in the folder of the logs.
+
+    Raises:
+        ConfigError: It cannot be read, or two folders have one each.
+    """
+    from amhe_cli.core.errors import ConfigError, one_of
+
+    files = {path.absolute().parent / BESIDE for path in logs}
+    found = sorted(file for file in files if file.is_file())
+    if not found:
+        return _Beside()
+    if len(files) > 1:
+        raise ConfigError(f"{found[0]}: is beside some of the logs only; give logs of one folder")
+    try:
+        said = tomllib.loads(found[0].read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{found[0]}: {error}") from None
+    keys = ("system", "noise", "priors", "settings")
+    if unknown := [key for key in said if key not in keys]:
+        raise ConfigError(f"{found[0]}: {one_of('key', unknown[0], keys)}")
+    system = said.get("system")
+    if system is not None and (found[0].parent / str(system)).is_dir():
+        system = found[0].parent / str(system)
+    noise, priors = said.get("noise") or {}, said.get("priors") or {}
+    described = {
+        "signals": {name: {"noise": sd} for name, sd in noise.items()},
+        "parameters": {
+            name: prior if isinstance(prior, dict) else {"nominal": prior} for name, prior in priors.items()
+        },
+    }
+    settings = merged(said.get("settings") or {}, described)
+    return _Beside(system, {key: value for key, value in settings.items() if value})
 
 
 def _stated(logs: Sequence[Path]) -> dict[Path, Mapping[str, str]]:

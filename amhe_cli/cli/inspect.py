@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
-
-from amhe_cli.cli import log_path, options, parsing
+from amhe_cli.cli import options
+from amhe_cli.cli.command import Given, command
 from amhe_cli.cli.session import UNREADABLE, Session
 
 if TYPE_CHECKING:
@@ -17,18 +15,8 @@ if TYPE_CHECKING:
     from amhe_cli.system.system import System
 
 
-@click.command(cls=parsing.Command, short_help="What is in a log, and what a system lacks in it.")
-@click.argument(
-    "logs", nargs=-1, required=True, type=log_path.LOG, callback=log_path.episodes, metavar="LOG..."
-)
-@options.where
-@options.common
-@click.pass_obj
-def inspect(
-    session: Session,
-    logs: tuple[Path, ...],
-    inputs: Inputs,
-) -> int | None:
+@command("What is in a log, and what a system lacks in it.", options.logs, options.where)
+def inspect(session: Session, given: Given) -> int | None:
     """List what is in LOG...: topics, types, rates, gaps, clocks, problems.
 
     With a system, named by --system or by the log itself, also what it needs and what is missing; exit code 4
@@ -37,12 +25,11 @@ def inspect(
     from amhe_cli.logs import members
     from amhe_cli.report.inspection import inspection_record, losses, print_inspection
 
-    session.hush_mujoco()
-    found = [_inspection(one, inputs) for path in logs for one in members(path)]
+    inputs = given.inputs
+    found = [_inspection(one, inputs) for path in given.logs for one in members(path)]
     session.warnings += [text for one in found for text in losses(one)]
-    if session.json:
-        session.print_json(session.record(logs=[inspection_record(one) for one in found]))
-    for one in () if session.json else found:
+    told = session.gave(session.record(logs=[inspection_record(one) for one in found]))
+    for one in () if told else found:
         print_inspection(one, session.console())
     return UNREADABLE if any(one.usable is False for one in found) else None
 
@@ -55,7 +42,7 @@ def _inspection(log: Member, inputs: Inputs) -> Inspection:
 
     path = log.path
     named = read_metadata(path).get("system")
-    if inputs.system or named in bundled_systems():
+    if inputs.names_system([path]) or named in bundled_systems():
         system = inputs.open([path]).reading(log.topics)
         start, end = log.start or inputs.start, log.end or inputs.end
         return looked_at(inspect_log(path, system, start=start, end=end, msg_path=inputs.msg_path), system)

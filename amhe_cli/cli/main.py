@@ -15,10 +15,11 @@ from io import TextIOWrapper
 
 import click
 
-from amhe_cli.cli import options
+from amhe_cli.cli import about
 from amhe_cli.cli.audit import audit
 from amhe_cli.cli.calibrate import calibrate
 from amhe_cli.cli.check import check
+from amhe_cli.cli.command import COMMON_OPTIONS
 from amhe_cli.cli.compare import compare
 from amhe_cli.cli.convert import convert
 from amhe_cli.cli.drives import drives
@@ -53,6 +54,7 @@ GROUPS = {
     "More": (compare, explain, pool, probe, mhe_replay, export, convert, drives),
     "Live": (watch, record),
     "Go1": (run_task, evaluate, emulate, calibrate),
+    "Help": about.COMMANDS,
 }
 
 
@@ -68,14 +70,15 @@ class _Grouped(click.Group):
                 formatter.write_dl(rows)
 
 
-@click.group(
-    cls=_Grouped,
-    commands=[command for members in GROUPS.values() for command in members],
+amhe = _Grouped(
+    "amhe",
+    help="Physical parameters of robots and what they push, from their logs, with honest uncertainty.\n\n"
+    "To try it, in any folder: amhe identify example:pendulum; amhe examples lists more.",
+    commands={str(one.name): one for members in GROUPS.values() for one in members},
+    params=list(COMMON_OPTIONS),
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    no_args_is_help=True,
 )
-@options.common
-def amhe() -> None:
-    """Physical parameters of robots and what they push, from their logs, with honest uncertainty."""
 
 
 #: Linear algebra on one thread, also in child processes: on several, sums are taken in another order, and

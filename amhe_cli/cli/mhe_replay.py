@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
-
-from amhe_cli.cli import log_path, options, parsing
-from amhe_cli.cli.estimation_options import believed, estimator, narrowing
+from amhe_cli.cli import options
+from amhe_cli.cli.command import Given, argument, command
+from amhe_cli.cli.kinds import LOG, one_episode
 from amhe_cli.cli.session import Session, stopping
 
 if TYPE_CHECKING:
-    from amhe_cli.cli.inputs import Inputs
     from amhe_cli.cli.progress import Shown
-    from amhe_cli.cli.settings import Overrides
     from amhe_cli.estimation.online.horizon import Estimate
     from amhe_cli.estimation.online.replay import ReplayProblem
 
@@ -23,33 +19,21 @@ if TYPE_CHECKING:
 _SHOWN = 4
 
 
-@click.command("mhe-replay", cls=parsing.Command, short_help="A log to parameters over time, as if live.")
-@click.argument("log", required=False, type=log_path.LOG, callback=log_path.one_episode, metavar="[LOG]")
-@options.where
-@believed(
-    "Start from a belief.yaml, its sd floored so that it can still move, instead of the system's prior."
+@command(
+    "A log to parameters over time, as if live.",
+    argument("log", LOG, required=False, callback=one_episode, metavar="[LOG]"),
+    options.where,
+    options.believed(
+        "Start from a belief.yaml, its sd floored so that it can still move, instead of the system's prior."
+    ),
+    options.narrowing,
+    options.estimator,
+    options.work,
+    options.tuning,
+    options.output,
+    name="mhe-replay",
 )
-@narrowing
-@estimator
-@options.work
-@options.tuning
-@options.out
-@options.common
-@click.pass_obj
-def mhe_replay(
-    session: Session,
-    log: Path | None,
-    inputs: Inputs,
-    belief: Path | None,
-    belief_anyway: bool,
-    fix: dict[str, float],
-    only: list[str] | None,
-    seed: int,
-    threads: int,
-    engine: str,
-    overrides: Overrides,
-    out: options.Output,
-) -> None:
+def mhe_replay(session: Session, given: Given) -> None:
     """Estimate parameters over the time of LOG, with the newest window at each update.
 
     LOG is an MCAP file, a rosbag2 folder, a ROS 1 bag, a table (CSV, npz, parquet and others), a ULog or
@@ -57,8 +41,8 @@ def mhe_replay(
     pushes a box onto another floor. Writes estimates.mcap, estimates.csv, result.json and report.html. With
     a longer --window, updates are further apart in proportion, unless their period is given, too.
     """
-    from amhe_cli.cli.inputs import bundled_log
     from amhe_cli.cli.progress import progress
+    from amhe_cli.core.bundled import bundled_logs
     from amhe_cli.estimation.online.predictions import predictions, replay_fits
     from amhe_cli.estimation.online.replay import caution, open_replay, paced, replayed
     from amhe_cli.report.replay import print_replay, write_replay
@@ -66,19 +50,18 @@ def mhe_replay(
     from amhe_cli.system.provenance import estimator_provenance, inputs_record
     from amhe_cli.system.system import System
 
-    session.hush_mujoco()
-    folder = out.reserve()
-    path = log or bundled_log()
-    opened = inputs.open([path], overrides)
-    chosen = overrides.all.get("mhe") or {}
+    folder, inputs, belief = given.reserve(), given.inputs, given.belief
+    path = given.log or bundled_logs()["t4"]
+    opened = inputs.open([path])
+    chosen = inputs.overrides.all.get("mhe") or {}
     follows = "window" in chosen and "update_period" not in chosen
     if follows and opened.folder is not None:
         opened = paced(opened, System.load(opened.folder, warn=False).settings.mhe)
-    opened, known = opened.starting_from(belief, fix=fix, only=only, belief_anyway=belief_anyway)
+    opened, known = opened.starting_from(belief, **given.pick("fix", "only", "belief_anyway"))
     (recorded,) = inputs.read(opened, [path])
     problem = open_replay(
-        opened, recorded, belief=known, seed=seed, threads=threads, kind=engine, begun=inputs.start or 0.0,
-        paced=follows,
+        opened, recorded, belief=known, seed=given.seed, threads=given.threads, kind=given.engine,
+        begun=inputs.start or 0.0, paced=follows,
     )  # fmt: skip
     with stopping(session) as stopped:
         with progress(session, "mhe-replay", partial(_shown, problem)) as show:
@@ -88,21 +71,18 @@ def mhe_replay(
         predicted, fits = predictions(done, problem.engine), replay_fits(done, problem.engine)
         hashed = [path, *([belief] if belief else [])]
         method = done.system.settings.mhe.method
-        origin = estimator_provenance(session.command_line, seed, method, done.system, hashed)
+        origin = estimator_provenance(session.command_line, given.seed, method, done.system, hashed)
         record = session.record(
-            **replay_record(done), seed=seed, out=str(folder), provenance=origin,
+            **replay_record(done), seed=given.seed, out=str(folder), provenance=origin,
             inputs=inputs_record(done.system, [recorded]),
         )  # fmt: skip
-        write_replay(folder, done, predicted, fits, record, origin, out.force)
-    if session.json:
-        session.print_json(record)
-    else:
-        if problem.paced:
-            setting = problem.system.settings.mhe
-            session.console().print(
-                f"windows of {setting.window:g} s, updates every {setting.update_period:g} s"
-            )
-        print_replay(record, folder, session.console())
+        write_replay(folder, done, predicted, fits, record, origin, given.force)
+    if session.gave(record):
+        return
+    if problem.paced:
+        mhe = problem.system.settings.mhe
+        session.console().print(f"windows of {mhe.window:g} s, updates every {mhe.update_period:g} s")
+    print_replay(record, folder, session.console())
 
 
 def _shown(problem: ReplayProblem, estimate: Estimate) -> Shown:

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from amhe_cli.cli import at_the_robot, options, parsing
-from amhe_cli.cli.estimation_options import believed, method
+from amhe_cli.cli import at_the_robot, options
+from amhe_cli.cli.command import Given, command, option
+from amhe_cli.cli.kinds import FILE
 from amhe_cli.cli.session import Session, stopping
 from amhe_cli.cli.watching import watched, watching_run
 
 if TYPE_CHECKING:
     from amhe_cli.cli.progress import Shown
-    from amhe_cli.cli.settings import Overrides
     from amhe_cli.core.errors import Ending
     from amhe_cli.live.episode import Cycle
     from amhe_cli.report.run import TaskFacts
@@ -29,53 +29,34 @@ _TASKS = (
 )
 
 
-@click.command(cls=parsing.Command, short_help="A Go1 pushes a box: closed-loop control under a belief.")
-@click.option("--task", type=click.Choice(options.TASKS), required=True, help=_TASKS)
-@options.choice("--target", ("sim", "go1"), "sim", "What is controlled.")
-@at_the_robot.reach_options
-@at_the_robot.dry_run_option(at_the_robot.CHECKS)
-@options.choice(
-    "--mode",
-    options.MODES,
-    "adaptive",
-    "What the controller plans with: the plant's own parameters, the task's fixed wrong ones, or the "
-    "newest estimate, starting from the baseline's.",
+@command(
+    "A Go1 pushes a box: closed-loop control under a belief.",
+    option("--task", _TASKS, options.TASKS, required=True),
+    at_the_robot.target("What is controlled."),
+    at_the_robot.REACH,
+    at_the_robot.dry_run_option(at_the_robot.CHECKS),
+    option(
+        "--mode",
+        "What the controller plans with: the plant's own parameters, the task's fixed wrong ones, or the "
+        "newest estimate, starting from the baseline's.",
+        options.MODES,
+        default="adaptive",
+        show_default=True,
+    ),
+    options.believed("A belief.yaml in place of the task's own for modes baseline, stale and adaptive."),
+    options.work,
+    options.duration,
+    option("--plant", "MJCF of another Go1 to simulate; the planner keeps its own.", FILE, metavar="XML"),
+    watched,
+    options.method,
+    options.tuning,
+    options.output,
 )
-@believed("A belief.yaml in place of the task's own for modes baseline, stale and adaptive.")
-@options.work
-@options.duration("Stop after S seconds of the run.")
-@click.option(
-    "--plant",
-    type=parsing.EXISTING_FILE,
-    metavar="XML",
-    help="MJCF of another Go1 to simulate; the planner keeps its own.",
-)
-@watched
-@method
-@options.tuning
-@options.out
-@options.common
-@click.pass_obj
-def run(
-    session: Session,
-    task: str,
-    target: str,
-    dry_run: bool,
-    mode: str,
-    belief: Path | None,
-    seed: int,
-    duration: float,
-    plant: Path | None,
-    view: bool,
-    wire: dict[str, Any],
-    overrides: Overrides,
-    out: options.Output,
-    **how: Any,
-) -> None:
+def run(session: Session, given: Given) -> None:
     """Run a task to its end and say how well it went.
 
     Writes log.mcap, result.json and report.html. Exit code 1 where the robot falls, the simulation
-    diverges, or the task is not done within its own time; a run that --duration cut short is no failure.
+    diverges, or the task is not done within its own time; a run that --seconds cut short is no failure.
     A real robot (--target go1): read docs/go1.md first.
     """
     from amhe_cli.core.files import filling
@@ -84,16 +65,18 @@ def run(
     from amhe_cli.robots.go1.run import RunOptions, open_run
     from amhe_cli.system.provenance import run_provenance
 
+    task, mode, target, dry_run = given.task, given.mode, given.target, given.dry_run
+    belief, seed, plant, overrides = given.belief, given.seed, given.plant, given.overrides
     if mode != "adaptive" and "method" in overrides.chosen.get("mhe", {}):
         raise click.UsageError("--method is for the online estimator, which only --mode adaptive runs")
     if dry_run and target != "go1":
         raise click.UsageError("--dry-run is of a real robot: give --target go1 too")
-    session.hush_mujoco()
-    folder = out.reserve()
+    folder = given.reserve()
+    how = given.pick("plant", "threads", "engine", "belief_anyway")
     chosen = RunOptions(
-        task, mode, target, belief, seed, duration=duration, plant=plant, settings=overrides.all, **how
+        task, mode, target, belief, seed, duration=given.seconds, settings=overrides.all, **how
     )
-    if reached := at_the_robot.wire_of(target, wire):
+    if reached := at_the_robot.wire_of(target, given):
         from amhe_cli.robots.go1.link.open import open_go1_run  # a simulation loads no link
 
         opened = open_go1_run(chosen, reached)
@@ -103,15 +86,15 @@ def run(
     click.get_current_context().with_resource(closing(opened.episode.belief))
     if dry_run:
         return at_the_robot.dry_run(session, opened)
-    with stopping(session) as stopped, filling(folder, keep=True, force=out.force) as scratch:
-        ending, history, link = _driven(session, opened, scratch, stopped, view)
+    with stopping(session) as stopped, filling(folder, keep=True, force=given.force) as scratch:
+        ending, history, link = _driven(session, opened, scratch, stopped, given.view)
         if isinstance(ending.error, OSError):  # as on a full disk: no page either, but the log is kept
             raise ending.error
         session.interrupted = ending.interrupted
         record = session.record(
             task=task, mode=mode, target=target, seed=seed, lock_step=not opened.live,
             **run_record(opened.judge.measures(), history, ending),
-            duration=duration, cut_short=duration < options.LONGEST, out=str(folder), **link,
+            duration=given.seconds, cut_short=given.seconds < options.LONGEST, out=str(folder), **link,
         )  # fmt: skip
         origin = run_provenance(session.command_line, seed, opened.system, [p for p in (belief, plant) if p])
         error = ending.error
@@ -119,9 +102,7 @@ def run(
             write_run(scratch, _facts(opened, link), history.columns(), record, origin)
         except Exception as fault:  # a fault of the page must not cost the log
             error = error or fault
-    if session.json:
-        session.print_json(record)
-    else:
+    if not session.gave(record):
         print_run(record, opened.task.title, folder, session.console())
     if at_the_robot.is_trip(error):
         session.failed = True

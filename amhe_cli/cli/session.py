@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import signal
 import sys
@@ -11,7 +12,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
-from amhe_cli.cli.wording import in_options
 from amhe_cli.core.errors import NOTE
 from amhe_cli.core.text import printable
 
@@ -32,6 +32,33 @@ PLAIN_WIDTH = 110
 TERMINATING = (signal.SIGTERM, signal.SIGHUP)
 
 
+#: An argument or a setting of the library in a message, in backquotes, perhaps with a value.
+_QUOTED = re.compile(r"`([a-z_0-9]+)((?:\.\w+)*)(?:=([^`]*))?`")
+
+
+def in_options(text: str, options: Mapping[str, str]) -> str:
+    """A text of the library as the user of a command reads it; other words in backquotes stay.
+
+    Args:
+        text: The text, in which `held_out` stands for the option --held-out, `logs.align=true` for a setting.
+        options: See `command.options_of`.
+    """
+
+    def typed(match: re.Match[str]) -> str:
+        name, rest, value = match.groups()
+        if rest:
+            from amhe_cli.cli.settings import groups
+
+            setting = f"{name}{rest}" if value is None else f"{name}{rest}={value}"
+            return f"--set {setting}" if "assignments" in options and name in groups() else match.group()
+        option = options.get(f"no_{name}" if value == "False" else name)
+        if option is None:
+            return match.group()
+        return option if value in (None, "True", "False") else f"{option} {value}"
+
+    return _QUOTED.sub(typed, text)
+
+
 class Terminated(KeyboardInterrupt):
     """SIGTERM or SIGHUP, treated like Ctrl-C: keep what there is, and go."""
 
@@ -42,7 +69,7 @@ class Session:
     Attributes:
         name: Name of the command.
         command: 'amhe identify': how every line on stderr begins.
-        options: What the user types for the arguments of the library: see `wording.options_of`.
+        options: What the user types for the arguments of the library: see `command.options_of`.
         command_line: What the user typed, for provenance.
         warnings: What the library warned of, once each; the content of result.json's `warnings`.
         interrupted: The command was stopped before it was through, and kept what it had.
@@ -106,10 +133,14 @@ class Session:
                 f"{self.command}: {label}{first}", *(f"  {line}" for line in rest), sep="\n", file=sys.stderr
             )
 
-    def begin(self) -> None:
+    def begin(self, simulates: bool) -> None:
         """Start listening to the library's log, before a command's body runs."""
         import logging
 
+        if simulates:
+            from amhe_cli.engine.cpu import hush_mujoco
+
+            hush_mujoco()  # by default it writes MUJOCO_LOG.TXT where the user stands
         logging.captureWarnings(True)  # a library's RuntimeWarning is for us, not for users
         logger = logging.getLogger("amhe_cli")
         logger.handlers[:] = [_listener(self)]
@@ -127,12 +158,6 @@ class Session:
         logger = logging.getLogger("amhe_cli")
         logger.handlers.clear()
         logger.propagate = True
-
-    def hush_mujoco(self) -> None:
-        """Send MuJoCo's warnings to the log; by default it writes MUJOCO_LOG.TXT where the user stands."""
-        from amhe_cli.engine.cpu import hush_mujoco
-
-        hush_mujoco()
 
     def console(self, stderr: bool = False) -> PlainConsole:
         """Rich console on stdout, or on stderr."""
@@ -160,11 +185,13 @@ class Session:
             **more,
         }
 
-    def print_json(self, record: object) -> None:
-        """Write one JSON object on stdout."""
-        import json
+    def gave(self, record: object) -> bool:
+        """Write one JSON object on stdout, if --json asks for it; whether it does."""
+        if self.json:
+            import json
 
-        print(json.dumps(record, indent=2, allow_nan=False))
+            print(json.dumps(record, indent=2, allow_nan=False))
+        return self.json
 
 
 def _listener(session: Session) -> Handler:

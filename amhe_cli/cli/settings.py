@@ -79,6 +79,10 @@ class Overrides:
         return settings, Settings
 
 
+#: No settings from outside.
+NONE = Overrides({}, {})
+
+
 def groups() -> set[str]:
     """Groups of settings that any system has."""
     from amhe_cli.core.settings import Settings
@@ -89,7 +93,7 @@ def groups() -> set[str]:
 
 def gathered(config: Path | None, environment: Mapping[str, str], options: Iterable[str]) -> Overrides:
     """Settings of a file, of the environment, which wins over the file, and of `--set`."""
-    file = from_file(config) if config else {}
+    file = YamlFile(config).data if config else {}
     return Overrides(merged(file, from_environment(environment)), parse_set(options))
 
 
@@ -125,15 +129,6 @@ def from_environment(environ: Mapping[str, str]) -> dict[str, Any]:
             keys = [group, parts[1] if own else parts[1].lower(), *(part.lower() for part in parts[2:])]
             result = merged(result, _nested(keys, scalar(text)))
     return result
-
-
-def from_file(path: Path) -> dict[str, Any]:
-    """Nested mapping of a YAML file such as `clips: {length: [0.3, 0.6]}`.
-
-    Raises:
-        ConfigError: It cannot be read, or is no mapping.
-    """
-    return YamlFile(path).data
 
 
 def _nested(keys: list[str], value: Any) -> dict[str, Any]:

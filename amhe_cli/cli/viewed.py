@@ -69,15 +69,13 @@ class Viewed:
         folder: The result folder; of a log, the log.
         record: What result.json says.
         made: The logs.
-        inputs: The system that they are about, and what the user says of how they are read.
-        overrides: Settings of the system.
+        inputs: The system that they are about, its settings, and what the user says of how they are read.
     """
 
     folder: Path
     record: _Record
     made: _Made
     inputs: Inputs
-    overrides: Overrides
 
     @property
     def belief(self) -> Path | None:
@@ -99,7 +97,7 @@ class Viewed:
                 f"messages of {path}" for log in logs if (path := self.inputs.msg_path or log.msg_path)
             }
             logger.log(NOTE, "shows %s", ", ".join([*files, *sorted(messages)]))
-        return self.inputs.open([log.path for log in logs], self.overrides)
+        return self.inputs.open([log.path for log in logs])
 
     def read(self, system: System) -> tuple[list[Log], list[Log]]:
         """The logs for a system: those that were fitted, and those that were held out.
@@ -154,7 +152,7 @@ class Viewed:
         return shown
 
 
-def viewed(source: Path, inputs: Inputs, overrides: Overrides) -> Viewed:
+def viewed(source: Path, inputs: Inputs) -> Viewed:
     """What a path stands for: a log, or a result folder.
 
     A result folder is taken for the user's own: the log, the system and the other files that it names are
@@ -166,13 +164,13 @@ def viewed(source: Path, inputs: Inputs, overrides: Overrides) -> Viewed:
     path = source / "result.json"
     if not path.is_file():
         alone = _Made(logs=[_Reading(path=source)])
-        return Viewed(source, _Record(schema_version=1, command=""), alone, inputs, overrides)
+        return Viewed(source, _Record(schema_version=1, command=""), alone, inputs)
     try:
         record = _Record.model_validate_json(path.read_bytes())
     except (OSError, ValueError):
         raise ConfigError(f"{path}: is no result of this amhe; {_INSTEAD}") from None
     if record.command == "run":
-        return Viewed(source, record, _Made(logs=[_Reading(path=source / "log.mcap")]), inputs, overrides)
+        return Viewed(source, record, _Made(logs=[_Reading(path=source / "log.mcap")]), inputs)
     if record.command not in ("identify", "mhe-replay"):
         raise ConfigError(f"{source}: is a result of `amhe {record.command}`, which has no view; {_INSTEAD}")
     if (made := record.inputs) is None:
@@ -183,7 +181,9 @@ def viewed(source: Path, inputs: Inputs, overrides: Overrides) -> Viewed:
         made.system = str(_from(source, Path(made.system)))
     if record.command == "mhe-replay":  # estimates of a part of a log stand in the whole log
         made.logs = [log.model_copy(update={"start": None, "end": None}) for log in made.logs]
-    inputs = replace(inputs, system=inputs.system or made.system)
+    given = inputs.overrides
+    overrides = Overrides(merged(given.shared, made.settings), given.chosen)
+    inputs = replace(inputs, system=inputs.system or made.system, overrides=overrides)
     if inputs.system is None:
         raise ConfigError(f"{path}: its system has no folder; make one, and give it with --system DIR")
     try:
@@ -191,9 +191,7 @@ def viewed(source: Path, inputs: Inputs, overrides: Overrides) -> Viewed:
     except ConfigError:
         gone = f"{inputs.system}: the system of this result is not there; give its folder with --system DIR"
         raise ConfigError(gone) from None
-    return Viewed(
-        source, record, made, inputs, Overrides(merged(overrides.shared, made.settings), overrides.chosen)
-    )
+    return Viewed(source, record, made, inputs)
 
 
 def _from(folder: Path, path: Path) -> Path:
@@ -220,11 +218,11 @@ def system_of_result(belief: Path) -> System | None:
     """
     if belief.name != "belief.yaml" or not belief.with_name("result.json").is_file():
         return None
-    found = viewed(belief.parent, Inputs(None, {}, None, None, None), Overrides({}, {}))
+    found = viewed(belief.parent, Inputs())
     if found.belief is None or found.inputs.system in bundled_systems():
         return None
     logger.log(NOTE, "the belief is of system %s, says the result beside it", found.inputs.system)
-    return found.inputs.open((), found.overrides)
+    return found.inputs.open(())
 
 
 def _last(system: System, curves: Sequence[TimeCurve]) -> Belief | None:

@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from amhe_cli.cli import live_options, log_path, options, parsing
-from amhe_cli.cli.estimation_options import believed, narrowing
+from amhe_cli.cli import options
+from amhe_cli.cli.command import Given, command, flag, option
+from amhe_cli.cli.kinds import LOG, PORT, Number
 from amhe_cli.cli.session import Session, stopping
 from amhe_cli.cli.watching import watched, watching_windows
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator
     from subprocess import Popen
 
-    from amhe_cli.cli.settings import Overrides
     from amhe_cli.estimation.online.horizon import Estimate
     from amhe_cli.report.watch import WatchReport
     from amhe_cli.view.server import PageServer
@@ -35,80 +35,60 @@ _HANGS = 10.0, 120.0
 _WARNINGS = 100
 
 
-@click.command(cls=parsing.Command, short_help="Parameters of a robot that is running, live.")
-@live_options.where
-@options.system
-@options.topics
-@options.msg_path
-@believed("Start from a belief.yaml, its sd floored so that it can still move.")
-@narrowing
-@click.option(
-    "--resume", is_flag=True, help="Go on from the belief.yaml in OUT, if there is one, and add to its files."
+def _command(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
+    """A command that can be run."""
+    from shutil import which
+
+    try:
+        if value is None or which(shlex.split(value)[0]):
+            return value
+    except (ValueError, IndexError):
+        pass
+    raise click.BadParameter(f"{value!r} is no command that is found", ctx, param)
+
+
+@command(
+    "Parameters of a robot that is running, live.",
+    options.listening,
+    options.system,
+    options.topics,
+    options.msg_path,
+    options.believed("Start from a belief.yaml, its sd floored so that it can still move."),
+    options.narrowing,
+    flag("--resume", "Go on from the belief.yaml in OUT, if there is one, and add to its files."),
+    option("--speed", "LOG: play it so many times as fast.", Number("X", min=0, min_open=True), default=1.0),
+    option(
+        "--alarm",
+        "Warn while a parameter's 90 % interval is beyond a limit, such as 'load_mass>1.2'. Repeatable.",
+        multiple=True,
+        metavar="RULE",
+    ),
+    option(
+        "--on-jump",
+        "Run a command at each jump; AMHE_ESTIMATE in its environment is the estimate, as JSON.",
+        metavar="CMD",
+        callback=_command,
+    ),
+    option(
+        "--metrics",
+        "Serve the values for Prometheus at http://127.0.0.1:PORT/metrics.",
+        PORT,
+        metavar="PORT",
+    ),
+    watched,
+    options.seconds("Stop after S seconds.  [default: when it is interrupted]"),
+    options.seed,
+    options.engine,
+    options.tuning,
+    options.output,
 )
-@click.option(
-    "--speed",
-    type=parsing.Number(min=0, min_open=True),
-    default=1.0,
-    metavar="X",
-    help="LOG: play it so many times as fast.",
-)
-@click.option(
-    "--alarm",
-    "rules",
-    multiple=True,
-    metavar="RULE",
-    help="Warn while a parameter's 90 % interval is beyond a limit, such as 'load_mass>1.2'. Repeatable.",
-)
-@click.option(
-    "--on-jump",
-    metavar="CMD",
-    callback=lambda ctx, param, value: _command(ctx, param, value),
-    help="Run a command at each jump; AMHE_ESTIMATE in its environment is the estimate, as JSON.",
-)
-@click.option(
-    "--metrics",
-    type=parsing.WholeNumber(0, 65535),
-    metavar="PORT",
-    help="Serve the values for Prometheus at http://127.0.0.1:PORT/metrics.",
-)
-@watched
-@live_options.for_seconds("Stop after S seconds.  [default: when it is interrupted]")
-@options.seed
-@options.engine
-@options.tuning
-@options.out
-@options.common
-@click.pass_obj
-def watch(
-    session: Session,
-    source: str,
-    follow: Path | None,
-    system: str | None,
-    topics: dict[str, str],
-    msg_path: Path | None,
-    belief: Path | None,
-    belief_anyway: bool,
-    fix: dict[str, float],
-    only: list[str] | None,
-    resume: bool,
-    speed: float,
-    rules: Sequence[str],
-    on_jump: str | None,
-    metrics: int | None,
-    view: bool,
-    seconds: float | None,
-    seed: int,
-    engine: str,
-    overrides: Overrides,
-    out: options.Output,
-) -> None:
+def watch(session: Session, given: Given) -> None:
     """Estimate parameters from what a running system sends, until Ctrl-C.
 
     Shows parameters with intervals, warns of jumps and of --alarm, and publishes /amhe/params, /amhe/jump
     and /diagnostics where the source can. Writes estimates.csv and estimates.mcap, belief.yaml every 10 s,
     and result.json at the end.
     """
-    from amhe_cli.cli.inputs import Inputs
     from amhe_cli.core.belief import completed
     from amhe_cli.core.files import json_text, write_whole
     from amhe_cli.estimation.online.horizon import check_window
@@ -120,48 +100,49 @@ def watch(
     from amhe_cli.report.watch import WatchReport
     from amhe_cli.system.provenance import estimator_provenance
 
-    session.hush_mujoco()
-    source = str(log_path.LOG.convert(source, None, None)) if source.startswith("example:") else source
+    source, seed, belief = given.source, given.seed, given.belief
+    source = str(LOG.convert(source, None, None)) if source.startswith("example:") else source
     log = [Path(source)] if Path(source).exists() else []
-    if not (system or log):
+    if not (given.system or log):
         raise click.UsageError("name the system that is watched with --system NAME|DIR")
-    folder = options.Output(out.folder, out.force or resume).reserve()
+    given.force = given.force or given.resume
+    folder = given.reserve()
     kept = folder / "belief.yaml"
-    opened = Inputs(system, topics, msg_path, None, None).open(log, overrides)
-    opened, known = opened.starting_from(
-        kept if resume and kept.exists() else belief, fix=fix, only=only, belief_anyway=belief_anyway
+    opened, known = given.inputs.open(log).starting_from(
+        kept if given.resume and kept.exists() else belief, **given.pick("fix", "only", "belief_anyway")
     )
     mhe = opened.settings.mhe
     check_window(mhe, opened.dt)
-    alarms = [Alarm.parsed(rule, opened.space.names) for rule in rules]
+    alarms = [Alarm.parsed(rule, opened.space.names) for rule in given.alarm]
     origin = estimator_provenance(session.command_line, seed, mhe.method, opened, [belief] if belief else [])
-    factory = partial(estimator_of, opened, known, seed, engine)
+    factory = partial(estimator_of, opened, known, seed, given.engine)
     with ExitStack() as closed:
         stopped = closed.enter_context(stopping(session))
         found, transport = closed.enter_context(
-            open_source(source, follow, opened, Definitions(msg_path), speed)
+            open_source(source, given.follow, opened, Definitions(given.msg_path), given.speed)
         )
         budget = mhe.budget or mhe.update_period
         worker: Worker = closed.enter_context(closing(InProcess(factory, budget, *_HANGS)))
-        if view:
+        if given.view:
             start = completed(known, opened).estimate if known else opened.space.nominal
             look = closed.enter_context(watching_windows(session, opened, start, transport.about))
             worker = SeenWorker(worker, look)
-        sent = [transport.publish, *_to_foxglove(session, closed, opened.settings.live.foxglove, msg_path)]
+        port = opened.settings.live.foxglove
+        sent = [transport.publish, *_to_foxglove(session, closed, port, given.msg_path)]
         report = closed.enter_context(
             WatchReport(folder, opened, found, origin, sent, {str(a): a.holds for a in alarms})
         )
         show = closed.enter_context(_shown(session, report))
-        if metrics is not None:
-            closed.enter_context(_served(session, metrics, report.metrics))
-        end = time.monotonic() + (seconds or float("inf"))
-        for _ in _reported(session, run_watch(opened, found, worker), report, show, on_jump):
+        if given.metrics is not None:
+            closed.enter_context(_served(session, given.metrics, report.metrics))
+        end = time.monotonic() + (given.seconds or float("inf"))
+        for _ in _reported(session, run_watch(opened, found, worker), report, show, given.on_jump):
             if stopped() or time.monotonic() > end or (session.strict and session.warnings):
                 break
     record = session.record(**report.record(), out=str(folder))
     write_whole(folder / "result.json", json_text(record))
-    if session.json:
-        return session.print_json(record)
+    if session.gave(record):
+        return
     text = f"{report.values or 'no window was estimated'}\nresults: {folder}"
     session.console().print(text, soft_wrap=True)
 
@@ -252,15 +233,3 @@ def _run(command: str | None, about: dict[str, Any], last: Popen[bytes] | None) 
             start_new_session=True,
         )  # fmt: skip
     return last
-
-
-def _command(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
-    """A command that can be run."""
-    from shutil import which
-
-    try:
-        if value is None or which(shlex.split(value)[0]):
-            return value
-    except (ValueError, IndexError):
-        pass
-    raise click.BadParameter(f"{value!r} is no command that is found", ctx, param)

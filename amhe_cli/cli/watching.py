@@ -9,8 +9,7 @@ from contextlib import contextmanager
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-import click
-
+from amhe_cli.cli.command import flag
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
@@ -24,9 +23,7 @@ if TYPE_CHECKING:
     from amhe_cli.view.scene import Geom
     from amhe_cli.view.server import PageServer
 
-watched = click.option(
-    "--view", is_flag=True, help="Serve a page to this computer that shows it live (docs/view.md)."
-)
+watched = flag("--view", "Serve a page to this computer that shows it live (docs/view.md).")
 
 
 @contextmanager

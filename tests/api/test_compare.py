@@ -47,7 +47,7 @@ def test_a_shell_pattern_behind_logs(tmp_path: Path) -> None:
     (tmp_path / "mine" / "system.yaml").touch()
     (tmp_path / "run2.csv").touch()
     given = ["pendulum", str(tmp_path / "mine"), str(tmp_path / "run2.csv")]
-    assert _parted(given) == (given[:2], (tmp_path / "run2.csv",))
+    assert _parted(given) == (given[:2], [tmp_path / "run2.csv"])
 
 
 def test_wrong_arguments_are_one_line(pendulum_log: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -18,9 +17,9 @@ ROOT = Path(__file__).parents[2]
 
 
 def offered(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *words: str) -> set[str]:
-    """What bash is given for the last of these words; it cuts them at ':' and '='."""
+    """What bash is given for the last of these words."""
     monkeypatch.setenv("COMP_WORDS", " ".join(("amhe", *words)))
-    monkeypatch.setenv("COMP_CWORD", re.split("(?<=[:=])", words[-1])[-1])
+    monkeypatch.setenv("COMP_CWORD", str(len(words)))
     monkeypatch.setenv("_AMHE_COMPLETE", "bash_complete")
     with pytest.raises(SystemExit):
         run([])
@@ -42,10 +41,8 @@ EXAMPLES = {path.stem for path in (ROOT / "examples" / "logs").iterdir() if path
         (["identify", "--max"], {"--max-time"}),
         (["identify", "x"], {"<file>"}),
         (["identify", "exa"], {f"example:{name}" for name in EXAMPLES}),
-        (["identify", "example:"], EXAMPLES),
-        (["identify", "example:pen"], {"pendulum"}),
+        (["identify", "example:pen"], {"example:pendulum"}),
         (["identify", "--system", "pen"], {"<dir>", "pendulum"}),
-        (["identify", "--system=pen"], {"<dir>", "pendulum"}),
         (["identify", "--system", "arms/r"], {"<dir>", "arms/right"}),
         (["identify", "example:t1", "--system", "cu"], {"<dir>", "cube_toss"}),
         (["run", "--task", ""], set(TASKS)),
@@ -80,7 +77,7 @@ def test_every_command_offers_its_options(capfd, monkeypatch: pytest.MonkeyPatch
 
 def test_the_answer_is_quick_because_nothing_heavy_is_imported() -> None:
     words = ("amhe", "mhe-replay", "--system", "pendulum", "--prior-weight", "load")
-    environment = {"COMP_WORDS": " ".join(words), "COMP_CWORD": "load", "_AMHE_COMPLETE": "bash_complete"}
+    environment = {"COMP_WORDS": " ".join(words), "COMP_CWORD": "5", "_AMHE_COMPLETE": "bash_complete"}
     done = subprocess.run(
         [sys.executable, "-X", "importtime", "-m", "amhe_cli"],
         env=os.environ | environment | {"PYTHONPATH": str(ROOT)},
@@ -105,14 +102,12 @@ def test_other_shells_are_answered_too(shell: str, capfd, monkeypatch: pytest.Mo
     assert "example:pendulum" in capfd.readouterr().out
 
 
-def test_the_documented_lines_are_those_of_the_mechanism(capfd, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_scripts_are_those_of_the_mechanism_and_documented(capsys) -> None:
     page = (ROOT / "docs" / "cli.md").read_text(encoding="utf-8")
     for shell in ("bash", "zsh", "fish"):
-        assert f"_AMHE_COMPLETE={shell}_source amhe" in page
-        monkeypatch.setenv("_AMHE_COMPLETE", f"{shell}_source")
-        with pytest.raises(SystemExit):
-            run([])
-        assert f"_AMHE_COMPLETE={shell}_complete" in capfd.readouterr().out
+        assert f"amhe completion {shell}" in page
+        assert run(["completion", shell]) == 0
+        assert f"_AMHE_COMPLETE={shell}_complete" in capsys.readouterr().out
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
@@ -120,20 +115,15 @@ def test_bash_itself_completes(tmp_path: Path) -> None:
     (tmp_path / "amhe").write_text(f'#!/bin/sh\nexec {sys.executable} -m amhe_cli "$@"\n')
     (tmp_path / "amhe").chmod(0o755)
     script = """
-        source <(_AMHE_COMPLETE=bash_source amhe)
-        compopt() { printf 'no space: '; }
-        answer() {
-            COMP_LINE=$1; COMP_POINT=${#1}; COMP_WORDS=("${@:2}"); COMP_CWORD=$(($# - 2)); COMPREPLY=()
-            _amhe_completion amhe
-            echo "${COMPREPLY[*]}"
-        }
-        answer 'amhe inspect example:pen' amhe inspect example : pen
-        answer 'amhe mhe-replay --prior-weight box_m' amhe mhe-replay --prior-weight box_m
+        source <(amhe completion bash)
+        COMP_WORDS=(amhe identify --max); COMP_CWORD=2
+        _amhe_completion amhe
+        echo "${COMPREPLY[*]}"
         complete -p amhe
     """
     environment = os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
         ["bash", "--norc", "-c", script], env=environment, capture_output=True, text=True, check=False
     )
-    assert done.stdout.splitlines()[:2] == ["pendulum", "no space: box_mass="], done.stderr
+    assert done.stdout.splitlines()[0] == "--max-time", done.stderr
     assert "-F _amhe_completion amhe" in done.stdout

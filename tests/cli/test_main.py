@@ -12,7 +12,8 @@ import pytest
 
 from amhe_cli import __version__
 from amhe_cli.cli import main as entry
-from amhe_cli.cli import options, parsing
+from amhe_cli.cli import options
+from amhe_cli.cli.command import Given, command, flag
 from amhe_cli.cli.progress import progress
 from amhe_cli.cli.session import Session
 from amhe_cli.core.errors import AmheError, ConfigError, EstimationError, LogError
@@ -22,10 +23,8 @@ HEAVY = ("cmaes", "jinja2", "matplotlib", "mcap", "mujoco", "numpy", "pydantic",
 
 
 def raising(error: BaseException):
-    @click.command(cls=parsing.Command)
-    @options.common
-    @click.pass_obj
-    def trial(session: Session) -> None:
+    @command("t")
+    def trial(session: Session, given: Given) -> None:
         raise error
 
     return trial
@@ -86,13 +85,11 @@ def test_a_full_disk_is_no_bug(trial, capsys) -> None:
 )
 @pytest.mark.parametrize("writes", [True, False])
 def test_an_interrupted_command_has_the_code_of_its_signal(monkeypatch, capsys, number, code, writes) -> None:
-    def trial(**_: object) -> None:
+    @command("t", options.output if writes else ())
+    def trial(session: Session, given: Given) -> None:
         signal.raise_signal(number)
 
-    shared = parsing.stacked(options.out, options.common) if writes else options.common
-    monkeypatch.setitem(
-        entry.amhe.commands, "trial", click.command("trial", cls=parsing.Command)(shared(trial))
-    )
+    monkeypatch.setitem(entry.amhe.commands, "trial", trial)
     assert entry.run(["trial"]) == code
     said = "interrupted; nothing was written" if writes else "interrupted"
     assert capsys.readouterr().err.strip() == f"amhe trial: {said}"
@@ -104,13 +101,10 @@ def test_an_interruption_after_results_were_written_says_where_they_are(
     (tmp_path / "result.json").write_text("{}")
     os.utime(tmp_path / "result.json", (0, 0))  # of an earlier command
 
-    @click.command(cls=parsing.Command)
-    @click.option("--late", is_flag=True)
-    @options.out
-    @options.common
-    def trial(out: options.Output, late: bool) -> None:
-        folder = out.reserve()
-        if late:
+    @command("t", flag("--late", "Write it."), options.output)
+    def trial(session: Session, given: Given) -> None:
+        folder = given.reserve()
+        if given.late:
             (folder / "result.json").write_text("{}")
         raise KeyboardInterrupt
 
@@ -137,9 +131,8 @@ def test_a_signal_as_of_a_closed_terminal_silences_no_open_one(monkeypatch) -> N
 def test_a_command_that_ignores_the_end_of_its_terminal_goes_on(monkeypatch, capsys) -> None:
     """As nohup has it."""
 
-    @click.command(cls=parsing.Command)
-    @options.common
-    def trial() -> None:
+    @command("t")
+    def trial(session: Session, given: Given) -> None:
         signal.raise_signal(signal.SIGHUP)
 
     monkeypatch.setitem(entry.amhe.commands, "trial", trial)
@@ -151,10 +144,8 @@ def test_a_command_that_ignores_the_end_of_its_terminal_goes_on(monkeypatch, cap
 
 
 def logging_command(*messages: str):
-    @click.command(cls=parsing.Command)
-    @options.common
-    @click.pass_obj
-    def trial(session: Session) -> None:
+    @command("t")
+    def trial(session: Session, given: Given) -> None:
         import logging
 
         for message in messages:
@@ -188,9 +179,10 @@ def test_an_unknown_option_names_the_nearest(capsys) -> None:
     assert "--seed" in err
 
 
-@pytest.mark.parametrize(
-    "command", sorted(set(entry.amhe.commands) - {"emulate", "calibrate", "drives"})
-)  # no paths
+NO_PATHS = {"emulate", "calibrate", "drives", "help", "examples", "systems", "completion"}
+
+
+@pytest.mark.parametrize("command", sorted(set(entry.amhe.commands) - NO_PATHS))
 def test_a_path_that_does_not_exist_is_a_usage_error(command, capsys, tmp_path) -> None:
     task = ["--task", "t1", "--belief"]
     option = {
@@ -216,15 +208,7 @@ def test_version_and_help(capsys) -> None:
 def test_every_command_says_what_it_is(command) -> None:
     found = entry.amhe.commands[command]
     assert found.help and found.short_help
-    for option in found.params:
-        if isinstance(option, click.Option):
-            assert option.help or option.name == "seed", f"{command} {option.name}"
-
-
-@pytest.mark.parametrize("command", sorted(entry.amhe.commands))
-@pytest.mark.parametrize("option", ["--json", "--strict", "--quiet", "--verbose", "--no-color", "--version"])
-def test_every_command_has_the_common_options(command, option) -> None:
-    assert any(option in parameter.opts for parameter in entry.amhe.commands[command].params)
+    assert [one.name for one in found.params if isinstance(one, click.Option) and not one.help] == []
 
 
 def test_the_documented_help_is_the_real_one() -> None:

@@ -48,7 +48,7 @@ RUN = [
     ("", "--task"),
     ("--task t1 --mode stale", "no stale belief"),
     ("--task t1 --mode true --method logrank", "--method is for the online estimator"),
-    ("--task t1 --duration 0", "duration"),
+    ("--task t1 --duration 0", "--seconds"),
     ("--task t1 --duration nan", "nan is not a finite number"),
     ("--task t1 --engine abacus", "no engine 'abacus'; there is: cpu, gpu, auto"),
     ("--task t1 --belief nowhere.yaml", "nowhere.yaml"),

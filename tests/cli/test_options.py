@@ -1,11 +1,11 @@
-"""How many options a command has, and what became of those that it has no more."""
+"""How many options a command has, and how help shows them."""
 
 import click
 import pytest
 
 from amhe_cli.cli import options
+from amhe_cli.cli.command import command
 from amhe_cli.cli.main import GROUPS, amhe, run
-from amhe_cli.cli.parsing import GONE
 
 #: Options of a command beyond those that many commands share.
 MOST = 16
@@ -16,16 +16,9 @@ def options_in(command: click.Command) -> set[str]:
     return {str(param.name) for param in command.params if isinstance(param, click.Option)}
 
 
-@options.common
-@options.where
-@options.work
-@options.tuning
-@options.out
-def _shared() -> None:
-    """Has what many commands share."""
-
-
-SHARED = options_in(click.command()(_shared))
+SHARED = options_in(
+    command("t", options.where, options.work, options.tuning, options.output)(lambda session, given: None)
+)
 
 
 @pytest.mark.parametrize("name", amhe.commands)
@@ -33,29 +26,34 @@ def test_a_command_has_at_most_16_options_of_its_own(name: str) -> None:
     assert len(options_in(amhe.commands[name]) - SHARED) <= MOST, "make the rarest a setting"
 
 
-REPLACED = [(command, option, new) for command, gone in GONE.items() for option, new in gone.items()]
+@pytest.mark.parametrize("former", ["--for", "--duration"])
+def test_a_length_is_in_seconds_by_any_of_its_names(former: str, capsys) -> None:
+    assert run(["run", "--task", "t1", former, "x"]) == run(["run", "--task", "t1", "--seconds=x"]) == 2
+    assert len(set(capsys.readouterr().err.splitlines())) == 1
 
 
-@pytest.mark.parametrize(("command", "option", "instead"), REPLACED)
-def test_a_former_option_says_what_replaced_it(capsys, command: str, option: str, instead: str) -> None:
-    assert run([command, option, "1"]) == 2
-    said = f"no such option {option} any more: use {instead} (see 'amhe {command} --help')"
-    assert capsys.readouterr().err == f"amhe {command}: error: {said}\n"
+def test_help_has_panels_and_one_line_of_what_is_common(capsys) -> None:
+    assert run(["help", "identify"]) == 0
+    shown = capsys.readouterr().out
+    assert run(["identify", "--help"]) == 0
+    assert capsys.readouterr().out == shown
+    panels = [line.rstrip(":") for line in shown.splitlines() if line.endswith(":") and line[0] != " "]
+    assert panels == ["Logs and system", "What is known", "Options", "Computing", "Settings", "Output"]
+    assert sum("--strict" in line for line in shown.splitlines()) == 1
+    assert run(["help", "identfy"]) == 2
+    assert "did you mean 'identify'" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("command", "option", "instead"), REPLACED)
-def test_what_replaces_an_option_exists(command: str, option: str, instead: str) -> None:
-    from amhe_cli.robots.go1.settings import PushSettings
+def test_what_comes_with_amhe_is_listed(capsys) -> None:
+    from amhe_cli.core.bundled import bundled_logs
+    from amhe_cli.system.description.folders import bundled_systems
 
-    first, *rest = instead.split()
-    if not first.startswith("-"):
-        assert first == "xacro" or rest[0] in amhe.commands
-        return
-    assert any(first in param.opts for param in amhe.commands[command].params)
-    if rest:
-        key, _, _ = rest[0].partition("=")
-        group, name, *_ = key.split(".")
-        assert name in type(getattr(PushSettings(), group)).model_fields
+    assert run(["examples"]) == run(["systems"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    for name in bundled_logs():
+        (line,) = (line for line in lines if line.startswith(f"example:{name} "))
+        assert len(line.split()) > 3, "it says what the log is"
+    assert {line.split()[0] for line in lines} >= set(bundled_systems())
 
 
 def test_help_lists_each_command_once_in_a_group(capsys) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from amhe_cli.cli.main import run
-from amhe_cli.cli.settings import from_environment, from_file, gathered, merged, parse_set
+from amhe_cli.cli.settings import from_environment, gathered, merged, parse_set
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.settings import Settings
 from amhe_cli.robots.go1.settings import PushSettings
@@ -59,10 +59,10 @@ def test_environment_variables_have_two_underscores_between_levels() -> None:
 def test_a_file_is_read_with_the_same_care(tmp_path: Path) -> None:
     path = tmp_path / "config.yaml"
     path.write_text("clips: {count: 3}\n")
-    assert from_file(path) == {"clips": {"count": 3}}
+    assert gathered(path, {}, []).shared == {"clips": {"count": 3}}
     path.write_text("clips: {count: 3, count: 4}\n")
     with pytest.raises(ConfigError, match="here twice"):
-        from_file(path)
+        gathered(path, {}, [])
 
 
 def test_the_stronger_source_wins_key_by_key() -> None:

@@ -24,7 +24,6 @@ from amhe_cli.cli.identify import identify
 from amhe_cli.cli.inputs import Inputs
 from amhe_cli.cli.main import run
 from amhe_cli.cli.mhe_replay import mhe_replay
-from amhe_cli.cli.settings import Overrides
 from amhe_cli.cli.viewed import viewed
 from amhe_cli.core.text import script_digest
 from amhe_cli.view.server import LOOPBACK, PageServer
@@ -163,7 +162,7 @@ def test_a_result_of_the_library_shows_what_it_was_made_from(pendulum_log: Path,
     amhe.identify(system, logs, only=["load_mass"], max_time=1.0).save(tmp_path / "result")
     inputs = json.loads((tmp_path / "result" / "result.json").read_text())["inputs"]
     assert inputs["settings"] == {"clips": {"count": 4}, "signals": {"joints": {"topic": "/joint_states"}}}
-    shown = viewed(tmp_path / "result", Inputs(None, {}, None, 1.0, None), Overrides({}, {}))
+    shown = viewed(tmp_path / "result", Inputs(start=1.0))
     opened = shown.open()
     ((log,), apart) = shown.read(opened)
     assert (opened.name, opened.settings.clips.count, apart) == ("pendulum", 4, [])

@@ -2,8 +2,9 @@
 
 import pytest
 
+from amhe_cli.cli.command import options_of
 from amhe_cli.cli.main import amhe
-from amhe_cli.cli.wording import in_options, options_of
+from amhe_cli.cli.session import in_options
 
 SHOWN = [
     ("identify", "`held_out`: a.mcap is fitted too", "--held-out: a.mcap is fitted too"),
