@@ -18,10 +18,10 @@ from amhe_cli.core.readout import resolution
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.yaml_file import merged
 from amhe_cli.init.actuators import actuator_parameters, floating, ungrouped
-from amhe_cli.init.backlash import backlash_parameters
 from amhe_cli.init.drives import geared_joints, moved_by
 from amhe_cli.init.efforts import effort_parameters, effort_signal
 from amhe_cli.init.from_library import MISSED, Chosen, library_parameters
+from amhe_cli.init.gaps import gap_parameters
 from amhe_cli.init.model import add_servos, copy_model, free_root, notes_on_urdf, overlaps
 from amhe_cli.init.parameters import guess_parameters, guessed_masses, sharing
 from amhe_cli.init.signals import (
@@ -117,6 +117,7 @@ def proposed(
     group: bool = False,
     gains: bool = False,
     backlash: Sequence[str] = (),
+    elastic: Sequence[str] = (),
     drives: Chosen | None = None,
     efforts: bool = False,
 ) -> Proposal:
@@ -155,9 +156,10 @@ def proposed(
         rewrite, notes, model = True, notes + of_drives, compiled(spec)
     notes += overlaps(model)
     _refuse_nothing(model, topics, guesses, parameters)
-    if backlash:
-        rewrite, widths = True, backlash_parameters(spec, model, guesses, parameters, backlash)
-        parameters += widths
+    for joints in (backlash, elastic):
+        if joints:
+            rewrite, kind = True, joints is elastic
+            parameters += gap_parameters(spec, compiled(spec), guesses, parameters, joints, elastic=kind)
     notes += notes_on(model, topics, guesses, efforts=matched is not None)
     for guess in guesses:
         with_columns(guess, topics, alone=len({topic.table for topic in topics if topic.columns}) == 1)
@@ -186,6 +188,7 @@ def init_system(
     group: bool = False,
     gains: bool = False,
     backlash: Sequence[str] = (),
+    elastic: Sequence[str] = (),
     drives: Chosen | None = None,
 ) -> list[str]:
     """Write a system folder that `amhe identify` can use at once.
@@ -201,6 +204,7 @@ def init_system(
         group: With `actuators`: equal drives share their parameters.
         gains: With `actuators`: gain, velocity gain, limit of force and filter of each servo are free, too.
         backlash: Joints, by names or patterns, that get a gap between drive and link, of unknown width.
+        elastic: Joints likewise, whose drives are elastic, as harmonic drives are, of unknown stiffness.
         drives: Drives of the library, for gains, limits and armatures.
 
     Returns:
@@ -215,7 +219,7 @@ def init_system(
             raise ConfigError(f"`{name}` is for the drives of `actuators`: give both")
     if out.exists() and not force and any(out.iterdir()):
         raise ConfigError(f"{out}: is not empty; choose another folder, or give `force=True`")
-    made = proposed(model_path, logs, msg_path, urdf, actuators, group, gains, backlash, drives)
+    made = proposed(model_path, logs, msg_path, urdf, actuators, group, gains, backlash, elastic, drives)
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as scratch:
         folder = Path(scratch)

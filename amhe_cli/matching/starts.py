@@ -170,7 +170,7 @@ def _first_sd(system: System, log: Log) -> FloatArray:
         if channel.sets_state:
             sd[tangent_of(system, channel)] = _error_sd(channel, system, log)
     for gap, beside, measured in unmeasured(system, gaps(system.model)):
-        sd[dofs[beside]] = 0.5 * np.ptp(system.model.tendon_range[gap.tendon])
+        sd[dofs[beside]] = gap.slack(system.model)
         sd[nv + dofs[beside]] = sd[nv + dofs[measured]]
     return np.maximum(sd, _TINY)  # shifts of the first state are said in these units: see `readings`
 

@@ -219,3 +219,17 @@ def test_a_backlash_is_found_from_an_encoder_on_either_side_of_the_gap(side: str
     )
     close(result, gap=0.03)
     assert np.ptp(result.model().tendon_range[0]) == pytest.approx(result.parameters["gap"].estimate)
+
+
+@pytest.mark.medium
+def test_the_stiffness_of_an_elastic_drive_is_found() -> None:
+    def spec(stiffness: float) -> mujoco.MjSpec:
+        own = mujoco.MjSpec.from_string(arm(joint='frictionloss="0.1"'))
+        add_gaps(own, {"shoulder": stiffness}, elastic=True)
+        return own
+
+    plant = spec(60.0).compile()
+    plant.tendon_stiffness[0] = 90.0
+    log = played(plant, 0.8)
+    targets = [{"joint": "shoulder", "set": "drive_stiffness"}]
+    close(found(spec(60.0), {"k": {"nominal": 60.0, "prior_sd": 1.0, "targets": targets}}, log), k=90.0)

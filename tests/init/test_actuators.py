@@ -34,7 +34,12 @@ def robot(free: str = "", right: float = 0.2) -> str:
 
 
 def made(
-    folder: Path, model: str, group: bool = False, backlash: Sequence[str] = (), gains: bool = False
+    folder: Path,
+    model: str,
+    group: bool = False,
+    backlash: Sequence[str] = (),
+    gains: bool = False,
+    elastic: Sequence[str] = (),
 ) -> tuple[System, list[str]]:
     folder.mkdir(exist_ok=True)
     (folder / "robot.xml").write_text(model)
@@ -49,6 +54,7 @@ def made(
         group=group,
         gains=gains,
         backlash=backlash,
+        elastic=elastic,
     )
     return System.load(folder / "out"), notes
 
@@ -132,6 +138,19 @@ def test_chosen_joints_get_a_gap_of_unknown_width(tmp_path: Path) -> None:
     assert system.sets["left_knee_armature"] == "dof_armature of left_knee_drive"
     assert system.sets["left_hip_armature"] == "dof_armature of left_hip"
     assert any("write joints: {left_knee_drive: left_knee}" in note for note in notes)
+
+
+def test_chosen_drives_are_elastic(tmp_path: Path) -> None:
+    system, _ = made(tmp_path, robot(), backlash=["*_hip"], elastic=["*_knee"])
+    assert system.sets["left_knee_drive_stiffness"] == "tendon_stiffness of left_knee_elastic"
+    assert system.sets["left_hip_backlash"].startswith("tendon_range[1] of left_hip_backlash")
+    assert system.space.parameters[system.space.names.index("left_knee_drive_stiffness")].unit == "N m/rad"
+    with pytest.raises(ConfigError, match="no elastic drive; `amhe init --elastic left_hip` writes one"):
+        System.from_model(
+            system.original,
+            parameters={"k": {"targets": [{"joint": "left_hip", "set": "drive_stiffness"}]}},
+            signals={"joints": {"joints": ["left_hip"], "noise": {"position": 0.01}}},
+        )
 
 
 def test_a_gap_of_a_joint_that_is_not_driven_is_refused(tmp_path: Path) -> None:

@@ -89,6 +89,35 @@ def test_what_is_not_measured_starts_at_the_stop_that_carries_the_load(seen: str
     assert gaps(model)[0].tendon == 0
 
 
+def test_an_elastic_drive_bends_by_its_torque_and_rings_at_its_frequency() -> None:
+    spec = mujoco.MjSpec.from_string(ARM)
+    add_gaps(spec, {"elbow": 50.0}, elastic=True)
+    model = mujoco.MjModel.from_xml_string(spec.to_xml())
+    (spring,) = gaps(model)
+    drive, link = (int(model.jnt_dofadr[row]) for row in (spring.drive, spring.link))
+    model.dof_frictionloss[:], model.dof_damping[:], model.dof_armature[drive] = (
+        0.0,
+        0.0,
+        1e6,
+    )  # a locked rotor
+    data, others = mujoco.MjData(model), [d for d in range(model.nv) if d not in (drive, link)]
+    model.dof_armature[others] = 1e6
+    mujoco.mj_forward(model, data)
+    torque, inertia = float(data.qfrc_bias[link]), float(model.dof_M0[link])
+    qpos, qvel = np.zeros((1, model.nq)), np.zeros((1, model.nv))
+    set_gaps(model, qpos, qvel, {int(model.jnt_qposadr[spring.link])})
+    assert qpos[0, model.jnt_qposadr[spring.drive]] == pytest.approx(torque / 50.0)
+    angles = np.empty(2000)
+    for step in range(angles.size):
+        mujoco.mj_step(model, data)
+        angles[step] = data.qpos[model.jnt_qposadr[spring.link]]
+    ringing = angles - angles[-500:].mean()
+    crossings = np.flatnonzero(np.diff(np.sign(ringing[:600])))
+    period = 2.0 * model.opt.timestep * np.diff(crossings).mean()
+    assert 2.0 * np.pi / period == pytest.approx(np.sqrt(50.0 / inertia), rel=0.03)
+    assert angles[-500:].mean() == pytest.approx(-torque / 50.0, rel=0.05)
+
+
 def test_a_joint_that_shares_its_body_is_refused() -> None:
     with pytest.raises(ConfigError, match="'pitch' shares its body with roll"):
         with_gaps(pitch=0.01)

@@ -316,7 +316,7 @@ def _joint_of(cells: Cells, model: mujoco.MjModel) -> int | None:
         if (servo := SERVOS.element(model, cells.row)) is not None:
             return int(model.actuator_trnid[servo, 0])
         return GEARS.element(model, cells.row)
-    if cells.field == "tendon_range":
+    if cells.field in ("tendon_range", "tendon_stiffness"):
         return int(model.wrap_objid[model.tendon_adr[cells.row]])
     driven = cells.field == "actuator_forcerange" and model.actuator_trntype[cells.row] in (
         mujoco.mjtTrn.mjTRN_JOINT,

@@ -317,6 +317,15 @@ def _backlash(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells
     return [Cells("tendon_range", tendon, (1,), 0.5), Cells("tendon_range", tendon, (0,), -0.5)]
 
 
+def _drive_stiffness(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+    """Stiffness between a joint and its drive."""
+    tendon = next((gap.tendon for gap in gaps(model) if row in (gap.drive, gap.link)), None)
+    if tendon is None or not model.tendon_stiffness[tendon]:
+        name = model.joint(row).name
+        raise ConfigError(f"joint {name!r} has no elastic drive; `amhe init --elastic {name}` writes one")
+    return [Cells("tendon_stiffness", tendon)]
+
+
 #: Words of `set:` that set plain numbers.
 SETTERS: Mapping[str, Setter] = {
     "mass": Setter("kg", {"body": _mass}, positive=True),
@@ -344,6 +353,7 @@ SETTERS: Mapping[str, Setter] = {
     "stiffness": Setter("N m/rad", _joint("jnt_stiffness")),
     "spring_rest": Setter("rad", {"joint": _spring_rest}, lower=-inf),
     "backlash": Setter("rad", {"joint": _backlash}, positive=True),
+    "drive_stiffness": Setter("N m/rad", {"joint": _drive_stiffness}, positive=True),
     "gain": Setter("-", {"actuator": _gain}),
     "actuator_damping": Setter("-", {"actuator": _actuator_damping}),
     "filter_time_constant": Setter("s", {"actuator": _filter}, positive=True),

@@ -1,7 +1,8 @@
-"""Backlash: a drive and the link that it moves, joints of their own with a free gap between them.
+"""Backlash and elastic drives: a drive and the link that it moves are joints of their own.
 
-The drive is a rotor on the link's parent, with a joint on the axis of the link's. A tendon whose length is
-the drive's position less the link's holds the two within half the gap of each other; nothing else does.
+The drive is a rotor on the link's parent, with a joint on the axis of the link's. Between the two is a tendon
+whose length is the drive's position less the link's. Of a gap it holds the two within half the gap of each
+other; of an elastic drive it is a spring. Nothing else holds them.
 """
 
 from __future__ import annotations
@@ -24,13 +25,17 @@ _ARMATURE = 0.1
 _STOP_STEPS = 2.0
 #: Impedance of the stops of a gap.
 _STOP_IMPEDANCE = (0.99, 0.999, 0.001, 0.5, 2.0)
+#: Damping of an elastic drive against its link, as a share of the critical one.
+_ELASTIC_DAMPING = 0.03
+#: Acceleration of a link that bends an elastic drive by what is unknown of it at first [rad/s^2 or m/s^2].
+_SHAKEN = 10.0
 #: A load [N m or N] below this leaves the drive in the middle of the gap.
 _NO_LOAD = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """A gap between two hinge or slide joints: rows of the drive's joint, the link's, and their tendon."""
+    """A gap or spring between two joints: rows of the drive's joint, the link's, and their tendon."""
 
     drive: int
     link: int
@@ -41,11 +46,23 @@ class Gap:
         """Each of the two joints with the other one."""
         return (self.drive, self.link), (self.link, self.drive)
 
+    def ahead(self, model: mujoco.MjModel, torque: float) -> float:
+        """How far the drive is ahead of a link that it holds with this torque."""
+        if stiffness := float(model.tendon_stiffness[self.tendon]):
+            return torque / stiffness
+        half = 0.5 * float(np.ptp(model.tendon_range[self.tendon]))
+        return half * float(np.sign(torque)) * (abs(torque) > _NO_LOAD)
+
+    def slack(self, model: mujoco.MjModel) -> float:
+        """How far the drive may be from where it is put [rad or m]."""
+        torque = _SHAKEN * float(model.dof_M0[model.jnt_dofadr[self.link]])
+        return abs(self.ahead(model, torque))
+
 
 def gaps(model: mujoco.MjModel) -> list[Gap]:
-    """Gaps of a model: limited tendons whose length is one joint's position less another's."""
+    """Gaps of a model: limited or stiff tendons whose length is one joint's position less another's."""
     found_gaps = []
-    for tendon in np.flatnonzero(model.tendon_limited):
+    for tendon in np.flatnonzero((model.tendon_limited != 0) | (model.tendon_stiffness > 0.0)):
         first, count = int(model.tendon_adr[tendon]), int(model.tendon_num[tendon])
         wraps = slice(first, first + count)
         fixed = (model.wrap_type[wraps] == int(mujoco.mjtWrap.mjWRAP_JOINT)).all()
@@ -55,12 +72,14 @@ def gaps(model: mujoco.MjModel) -> list[Gap]:
     return found_gaps
 
 
-def add_gaps(spec: mujoco.MjSpec, widths: Mapping[str, float]) -> dict[str, str]:
-    """Put gaps between joints and their actuators; armature, friction and damping go with the actuators.
+def add_gaps(spec: mujoco.MjSpec, sizes: Mapping[str, float], elastic: bool = False) -> dict[str, str]:
+    """Put gaps or springs between joints and actuators; armature, friction and damping go to the drive.
 
     Args:
         spec: The model's source, which is changed.
-        widths: Hinge or slide joint -> free motion between the stops of its gap [rad or m].
+        sizes: Hinge or slide joint -> free motion between the stops of its gap [rad or m], or the stiffness
+            of its drive [N m/rad or N/m].
+        elastic: They are stiffnesses.
 
     Returns:
         Joint -> the joint of its drive.
@@ -70,7 +89,7 @@ def add_gaps(spec: mujoco.MjSpec, widths: Mapping[str, float]) -> dict[str, str]
     """
     model = compiled(spec)
     keys = [(key, np.array(key.qpos), np.array(key.qvel)) for key in spec.keys]
-    drives = {joint: _add_gap(spec, model, joint, width) for joint, width in widths.items()}
+    drives = {joint: _add_gap(spec, model, joint, size, elastic) for joint, size in sizes.items()}
     for key, _, _ in keys:
         key.qpos, key.qvel = [], []
     wide = compiled(spec) if keys else model
@@ -85,15 +104,13 @@ def add_gaps(spec: mujoco.MjSpec, widths: Mapping[str, float]) -> dict[str, str]
     return drives
 
 
-def _add_gap(spec: mujoco.MjSpec, model: mujoco.MjModel, joint: str, width: float) -> str:
-    """Put one gap; `model` is the source as it was before. The name of the drive's joint."""
+def _add_gap(spec: mujoco.MjSpec, model: mujoco.MjModel, joint: str, size: float, elastic: bool) -> str:
+    """Put one gap or spring; `model` is the source as it was before. The name of the drive's joint."""
     link, row = spec.joint(joint), model.joint(joint).id
     body, drive = link.parent, f"{joint}_drive"
     if len(body.joints) > 1:
         others = ", ".join(beside.name or "unnamed" for beside in body.joints if beside.name != joint)
-        raise ConfigError(
-            f"joint {joint!r} shares its body with {others}: give each a body of its own for a backlash"
-        )
+        raise ConfigError(f"joint {joint!r} shares its body with {others}: give each a body of its own")
     at, dof = int(model.jnt_bodyid[row]), int(model.jnt_dofadr[row])
     rotor = body.parent.add_body(name=drive, pos=model.body_pos[at], quat=model.body_quat[at])
     rotor.explicitinertial, rotor.ipos = True, np.zeros(3)
@@ -111,10 +128,14 @@ def _add_gap(spec: mujoco.MjSpec, model: mujoco.MjModel, joint: str, width: floa
         armature=model.dof_armature[dof] or _ARMATURE * model.dof_M0[dof],
     )
     link.damping, link.frictionloss, link.armature = np.zeros_like(link.damping), 0.0, 0.0
-    tendon = spec.add_tendon(name=f"{joint}_backlash", limited=mujoco.mjtLimited.mjLIMITED_TRUE)
-    tendon.range = [-0.5 * width, 0.5 * width]
-    tendon.solref_limit = [_STOP_STEPS * model.opt.timestep, 1.0]
-    tendon.solimp_limit = _STOP_IMPEDANCE
+    tendon = spec.add_tendon(name=f"{joint}_{'elastic' if elastic else 'backlash'}")
+    if elastic:
+        tendon.stiffness[0], tendon.springlength = size, [0.0, 0.0]
+        tendon.damping[0] = 2.0 * _ELASTIC_DAMPING * float(np.sqrt(size * model.dof_M0[dof]))
+    else:
+        tendon.limited, tendon.range = mujoco.mjtLimited.mjLIMITED_TRUE, [-0.5 * size, 0.5 * size]
+        tendon.solref_limit = [_STOP_STEPS * model.opt.timestep, 1.0]
+        tendon.solimp_limit = _STOP_IMPEDANCE
     tendon.wrap_joint(drive, 1.0)
     tendon.wrap_joint(joint, -1.0)
     at_joint = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
@@ -166,6 +187,5 @@ def set_gaps(model: mujoco.MjModel, qpos: FloatArray, qvel: FloatArray, measured
         mujoco.mj_fwdVelocity(model, data)
         load = data.qfrc_bias - data.qfrc_passive
         for gap, joint, _ in loose:
-            torque = load[model.jnt_dofadr[gap.link]]
-            ahead = 0.5 * np.ptp(model.tendon_range[gap.tendon]) * np.sign(torque) * (abs(torque) > _NO_LOAD)
+            ahead = gap.ahead(model, float(load[model.jnt_dofadr[gap.link]]))
             state[model.jnt_qposadr[joint]] += ahead if joint == gap.drive else -ahead
