@@ -47,6 +47,12 @@ from amhe_cli.core.text import printable
             metavar="JOINT",
             multiple=True,
         ),
+        option(
+            "--elastic",
+            "Make the drive of this joint elastic, as harmonic drives are, of unknown stiffness.",
+            metavar="JOINT",
+            multiple=True,
+        ),
     ),
     *in_panel(
         "Drives of known make",
@@ -110,7 +116,7 @@ def init(session: Session, given: Given) -> None:
         folder,
         urdf=urdf_options(path, not given.no_meshes, given.packages),
         drives=Chosen(drives, volts, gain_p) if drives else None,
-        **given.pick("msg_path", "force", "actuators", "group", "gains", "backlash"),
+        **given.pick("msg_path", "force", "actuators", "group", "gains", "backlash", "elastic"),
     )
     system = System.load(folder, warn=False)
     for log in (one.path for path in given.logs for one in members(path, system)):
