@@ -15,7 +15,7 @@ import click
 
 from amhe_cli.cli import options
 from amhe_cli.cli.command import Given, command, flag, option
-from amhe_cli.cli.kinds import LOG, PORT, Number
+from amhe_cli.cli.kinds import LOG, MODEL, PORT, Number
 from amhe_cli.cli.session import Session, stopping
 from amhe_cli.cli.watching import watched, watching_windows
 
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from subprocess import Popen
 
+    from amhe_cli.audit.audit import Line
+    from amhe_cli.core.belief import Belief
     from amhe_cli.estimation.online.horizon import Estimate
     from amhe_cli.report.watch import WatchReport
     from amhe_cli.view.server import PageServer
@@ -62,6 +64,12 @@ def _command(ctx: click.Context, param: click.Parameter, value: str | None) -> s
         "Warn while a parameter's 90 % interval is beyond a limit, such as 'load_mass>1.2'. Repeatable.",
         multiple=True,
         metavar="RULE",
+    ),
+    option(
+        "--against",
+        "Keep a table of what the estimates say of this file's numbers, as `amhe audit` does.",
+        MODEL,
+        metavar="MODEL",
     ),
     option(
         "--on-jump",
@@ -114,6 +122,7 @@ def watch(session: Session, given: Given) -> None:
     mhe = opened.settings.mhe
     check_window(mhe, opened.dt)
     alarms = [Alarm.parsed(rule, opened.space.names) for rule in given.alarm]
+    audit = given.against and _audit(opened, given.against)
     origin = estimator_provenance(session.command_line, seed, mhe.method, opened, [belief] if belief else [])
     factory = partial(estimator_of, opened, known, seed, given.engine)
     with ExitStack() as closed:
@@ -130,7 +139,7 @@ def watch(session: Session, given: Given) -> None:
         port = opened.settings.live.foxglove
         sent = [transport.publish, *_to_foxglove(session, closed, port, given.msg_path)]
         report = closed.enter_context(
-            WatchReport(folder, opened, found, origin, sent, {str(a): a.holds for a in alarms})
+            WatchReport(folder, opened, found, origin, sent, {str(a): a.holds for a in alarms}, audit)
         )
         show = closed.enter_context(_shown(session, report))
         if given.metrics is not None:
@@ -145,6 +154,16 @@ def watch(session: Session, given: Given) -> None:
         return
     text = f"{report.values or 'no window was estimated'}\nresults: {folder}"
     session.console().print(text, soft_wrap=True)
+
+
+def _audit(system: System, vendor: Path | str) -> Callable[[Belief], list[Line]]:
+    """What holds the numbers of a model file against a belief."""
+    from amhe_cli.audit.result import held_against
+    from amhe_cli.cli.inputs import model_file, urdf_options
+    from amhe_cli.system.model.files import compiled, read_spec
+
+    path = model_file(vendor)
+    return partial(held_against, system, file=compiled(read_spec(path, urdf_options(path)), repr(path.name)))
 
 
 def _reported(

@@ -17,14 +17,18 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from amhe_cli.audit.audit import Line
+from amhe_cli.core.belief import Belief
 from amhe_cli.core.files import fresh, plain
 from amhe_cli.estimation.online import messages
 from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.logs import LogWriter
 from amhe_cli.logs.live.messages import LiveSource
 from amhe_cli.logs.messages.writer import ERROR, OK, WARN
+from amhe_cli.report.audit import STYLES, audit_record, audit_table, count_text
 from amhe_cli.report.numbers import interval, with_sd
 from amhe_cli.report.replay_files import csv_header, csv_row
+from amhe_cli.report.tables import rich_table
 from amhe_cli.system.provenance import attachments
 from amhe_cli.system.system import System
 
@@ -52,6 +56,7 @@ class WatchReport:
         provenance: Versions, hashes, seed and command.
         send: What is called with topic, type and bytes of each message for others.
         alarms: Alarms in words -> whether an estimate raises them.
+        audit: Holds the numbers of a file against a belief; None: there is no file.
     """
 
     def __init__(
@@ -62,9 +67,11 @@ class WatchReport:
         provenance: Mapping[str, object],
         send: Sequence[Callable[[str, str, bytes], None]],
         alarms: Mapping[str, Callable[[Estimate], bool]],
+        audit: Callable[[Belief], Sequence[Line]] | None = None,
     ) -> None:
         self._folder, self._system, self._source = folder, system, source
         self._provenance, self._send, self._alarms = provenance, send, alarms
+        self._audit, self._lines = audit, list[Line]()
         self._counts, self._last, self._jump = Counter[str](), list[Estimate](), list[Estimate]()
         self._history: deque[Estimate] = deque(maxlen=_SHOWN)
         self._events: deque[tuple[float, str]] = deque(maxlen=_EVENTS)
@@ -115,6 +122,8 @@ class WatchReport:
             self._now, self._moved_at = self._source.now, clock
         if clock - self._diagnosed_at >= _DIAGNOSED:
             self._diagnosed_at = clock
+            if self._audit and self._last:
+                self._lines = list(self._audit(self._last[0].belief))
             rates = {one.topic: f"{one.rate:.0f} Hz" for one in self._source.topics()}
             self._log.also = self._send
             stamp = self._source.stamp_ns(max(self._now, 0.0))
@@ -158,7 +167,7 @@ class WatchReport:
             "end_s": self._last[0].time if self._last else None, "parameters": rows,
             "windows": counts.total(), "updated": counts["updated"] + counts["jump"],
             "jumps": counts["jump"], "still": counts["still"], "gaps": counts["gap"],
-            "lost": counts["diverged"],
+            "lost": counts["diverged"], **({"audit": audit_record(self._lines, None)} if self._audit else {}),
         })  # fmt: skip
 
     def metrics(self) -> str:
@@ -184,7 +193,10 @@ class WatchReport:
         shown = f"{self._now:.1f} s" if np.isfinite(self._now) else "waiting"
         title = f"  {self._system.name} on {self._source.about}, {shown}"
         head = Text.assemble((f" {word} ", f"reverse {colour}"), title, f"\n{text}\n")
-        parts: list[RenderableType] = [head, self._parameters(), Text(), self._topics(), Text()]
+        parts: list[RenderableType] = [head, self._parameters(), Text()]
+        if self._lines:
+            parts += [rich_table(audit_table(self._lines), STYLES), Text(count_text(self._lines)), Text()]
+        parts += [self._topics(), Text()]
         parts += [
             Text(f"{last.mark}; misfit {last.misfit:.2f}, excitation {last.excitation:.2f} (noise sd), "
                  f"update {last.update_ms:.0f} ms, lag {1e3 * self._lag:.0f} ms")

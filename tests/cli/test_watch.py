@@ -32,11 +32,15 @@ def test_a_payload_is_a_jump_an_alarm_and_a_command(jumping: Path, tmp_path: Pat
         f"import os; open({str(tmp_path / 'ran')!r}, 'a').write(os.environ['AMHE_ESTIMATE'] + '\\n')"
     )
     command = f"{sys.executable} {script}"
-    given = ["--alarm", "load_mass>1.0", "--on-jump", command, "--json", "-q"]
+    vendor = str(Path(__file__).parents[2] / "models" / "pendulum" / "scene.xml")  # says 0.4 kg
+    given = ["--alarm", "load_mass>1.0", "--on-jump", command, "--against", vendor, "--json", "-q"]
     assert run(["watch", "--source", str(jumping), *given, "-o", "out"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result == json.loads(Path("out/result.json").read_text())
     mass = result["parameters"][0]
+    claim = next(line for line in result["audit"]["numbers"] if line["of"] == "load")
+    assert (claim["what"], claim["file"], claim["verdict"]) == ("mass", 0.4, "contradicted")
+    assert claim["log"] == pytest.approx(mass["estimate"], rel=0.1)
     found = rows("out")
     assert any(row["mark"] == "jump" and float(row["time"]) > 4.0 for row in found)
     assert names("out") == ["belief.yaml", "estimates.csv", "estimates.mcap", "result.json"]
