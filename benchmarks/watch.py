@@ -31,10 +31,8 @@ from amhe_cli.logs.messages.definitions import Definitions
 PROJECT = Path(__file__).resolve().parent.parent
 PAYLOAD, BEFORE, AFTER = 0.8, 0.4, 1.2  # what is put on, and the load before and after it [kg]
 FIRST_DOMAIN = 100
-SETTLED, TOLD = (
-    5.0,
-    5.0,
-)  # a watch has found the mass after so long; a jump so long after the payload is of it [s]
+#: A watch has found the mass after so long; jumps until so long after the payload are of it [s].
+SETTLED = TOLD = 5.0
 
 
 @dataclass
@@ -62,15 +60,16 @@ def watched(number: int, seconds: float, at: float) -> tuple[Heard, float]:
     arm += ["--seconds", str(seconds + 60.0), "--at", str(at), "--payload", str(PAYLOAD)]
     watch = [*python, "-m", "amhe_cli", "watch", "--system", "pendulum", "--source", "ros2", "-q"]
     watch += ["--domain", domain, "--set", "live.interface=127.0.0.1"]
-    with tempfile.TemporaryDirectory() as folder:
-        with subprocess.Popen(arm, stdout=subprocess.PIPE, text=True, env=env) as robot:
-            with subprocess.Popen(
-                [*watch, "-o", f"{folder}/out"], env=env, stdout=subprocess.DEVNULL
-            ) as process:
-                heard = listened(int(domain), process.pid, seconds)
-                process.send_signal(signal.SIGTERM)
-            robot.terminate()
-            said = re.search(r"put on at ([\d.]+)", robot.stdout.read() if robot.stdout else "")
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        subprocess.Popen(arm, stdout=subprocess.PIPE, text=True, env=env) as robot,
+        subprocess.Popen([*watch, "-o", f"{folder}/out"], env=env, stdout=subprocess.DEVNULL) as process,
+    ):
+        heard = listened(int(domain), process.pid, seconds)
+        process.send_signal(signal.SIGTERM)
+        process.wait(60.0)
+        robot.terminate()
+        said = re.search(r"put on at ([\d.]+)", robot.stdout.read() if robot.stdout else "")
     return heard, float(said[1]) if said else np.inf
 
 

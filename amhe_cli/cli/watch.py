@@ -105,7 +105,7 @@ def watch(session: Session, given: Given) -> None:
     from amhe_cli.live.watch import watch as run_watch
     from amhe_cli.logs.live.open import open_source
     from amhe_cli.logs.messages.definitions import Definitions
-    from amhe_cli.report.watch import WatchReport
+    from amhe_cli.report.watch import PUBLISHED, WatchReport
     from amhe_cli.system.provenance import estimator_provenance
 
     source, seed, belief = given.source, given.seed, given.belief
@@ -130,6 +130,8 @@ def watch(session: Session, given: Given) -> None:
         found, transport = closed.enter_context(
             open_source(source, given.follow, opened, Definitions(given.msg_path), given.speed)
         )
+        for topic, kind in PUBLISHED.items():
+            transport.announce(topic, kind)
         budget = mhe.budget or mhe.update_period
         worker: Worker = closed.enter_context(closing(InProcess(factory, budget, *_HANGS)))
         if given.view:

@@ -32,6 +32,13 @@ from amhe_cli.report.tables import rich_table
 from amhe_cli.system.provenance import attachments
 from amhe_cli.system.system import System
 
+#: Topics that a watch publishes, and the types of their messages.
+PUBLISHED = {
+    "/amhe/params": "sensor_msgs/msg/JointState",
+    "/amhe/covariance": "std_msgs/msg/Float64MultiArray",
+    "/amhe/jump": "sensor_msgs/msg/JointState",
+    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+}
 #: Level of a diagnostic_msgs/DiagnosticStatus: nothing new comes.
 STALE = 3
 _LEVELS = {OK: ("ok", "green"), WARN: ("warning", "yellow"), ERROR: ("error", "red"), STALE: ("stale", "red")}

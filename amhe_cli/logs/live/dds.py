@@ -83,16 +83,21 @@ class Dds(RosTransport):
                 found.append(batch_of(connection, [arrival] * len(samples), sent, payloads))
         return found
 
-    def publish(self, topic: str, msgtype: str, message: bytes) -> None:
+    def announce(self, topic: str, msgtype: str) -> None:
         """See `Transport`: reliable, and kept for who comes later, which matches every subscriber."""
         from cyclonedds.core import Policy, Qos  # pyright: ignore[reportMissingImports]
         from cyclonedds.pub import DataWriter  # pyright: ignore[reportMissingImports]
 
-        if topic not in self._writers:
-            durable = Policy.Durability.TransientLocal
-            qos = Qos(Policy.Reliability.Reliable(0), durable, Policy.History.KeepLast(1))
-            kind, where = self._topic(f"rt{topic}", msgtype)
-            self._writers[topic] = kind, DataWriter(self._participant, where, qos=qos)
+        if topic in self._writers:
+            return
+        durable = Policy.Durability.TransientLocal
+        qos = Qos(Policy.Reliability.Reliable(0), durable, Policy.History.KeepLast(1))
+        kind, where = self._topic(f"rt{topic}", msgtype)
+        self._writers[topic] = kind, DataWriter(self._participant, where, qos=qos)
+
+    def publish(self, topic: str, msgtype: str, message: bytes) -> None:
+        """See `Transport`."""
+        self.announce(topic, msgtype)
         kind, writer = self._writers[topic]
         writer.write(kind(message))
 

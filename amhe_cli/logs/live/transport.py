@@ -48,6 +48,9 @@ class Transport:
         self._told |= dict.fromkeys(fresh, True)
         return fresh
 
+    def announce(self, topic: str, msgtype: str) -> None:
+        """Say that messages will be sent, where who listens would miss the first one otherwise."""
+
     def publish(self, topic: str, msgtype: str, message: bytes) -> None:
         """Send a message in CDR to whoever listens, where the transport can."""
 
