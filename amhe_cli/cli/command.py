@@ -124,7 +124,7 @@ class Command(click.Command):
         """Read the options."""
         session = ctx.ensure_object(Session)
         session.name, session.command, session.options = str(self.name), ctx.command_path, options_of(self)
-        parts = (arg.partition("=") for arg in args)
+        parts = (arg.partition("=") for arg in from_ros(args))
         return super().parse_args(
             ctx, [_FORMER.get(name, name) + sign + value for name, sign, value in parts]
         )
@@ -162,6 +162,22 @@ class Command(click.Command):
                 formatter.write_dl([(names.ljust(min(30, widest)), text) for names, text in rows], col_max=32)
         formatter.write_paragraph()
         formatter.write_text(f"{COMMON}: {' '.join(common)} -h, see amhe --help")
+
+
+def from_ros(args: list[str]) -> list[str]:
+    """Arguments with what stands between `--ros-args` and `--`, or the end, as settings.
+
+    `-r FROM:=TO` and `-p use_sim_time:=true` have a meaning here; `ros2 launch` adds others to every node.
+    """
+    if "--ros-args" not in args:
+        return args
+    at = args.index("--ros-args")
+    end = args.index("--", at) if "--" in args[at:] else len(args)
+    pairs = list(zip(args[at + 1 : end], args[at + 2 : end], strict=False))
+    rules = [value for name, value in pairs if name in ("-r", "--remap")]
+    clock = [value.partition(":=")[2] for name, value in pairs if value.startswith("use_sim_time:=")]
+    given = [f"live.remap={','.join(rules)}"] * bool(rules) + [f"live.sim_time={value}" for value in clock]
+    return args[:at] + [part for one in given for part in ("--set", one)] + args[end + 1 :]
 
 
 def _remember(ctx: click.Context, param: click.Parameter, value: Any) -> None:

@@ -33,6 +33,7 @@ def record(session: Session, given: Given) -> None:
     from amhe_cli.core.settings import LiveSettings
     from amhe_cli.logs import LogWriter
     from amhe_cli.logs.live.open import open_transport
+    from amhe_cli.logs.live.ros import renamed
     from amhe_cli.logs.live.transport import STEP
     from amhe_cli.logs.messages.definitions import Definitions
 
@@ -45,7 +46,7 @@ def record(session: Session, given: Given) -> None:
     opened = inputs.open([]) if given.system else None
     said = inputs.overrides.all.get("live") or {}
     live = opened.settings.live if opened else LiveSettings.model_validate(said)
-    signals = opened.signals if opened else ()
+    signals = renamed(opened.signals, live.remap) if opened else ()
     wanted = frozenset(signal.topic for signal in signals) if opened else None
     transport = open_transport(given.source, given.follow, wanted, signals, Definitions(msg_path), live)
     if transport is None:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from amhe_cli.core.belief import Belief
     from amhe_cli.estimation.online.horizon import Estimate
     from amhe_cli.report.watch import WatchReport
+    from amhe_cli.system.system import System
     from amhe_cli.view.server import PageServer
 
 #: Time between two pictures on a terminal, and two lines elsewhere [s].

@@ -303,6 +303,8 @@ class LiveSettings(SettingsGroup):
     """Zenoh's router."""
     foxglove: Annotated[int, Field(ge=0, le=65535)] | None = None
     """Port at which Foxglove sees what `amhe watch` publishes, on this computer; 0: any that is free."""
+    remap: Annotated[list[str], BeforeValidator(_several)] = []
+    """Rules such as `/joint_states:=/arm/joint_states`; `__ns:=/arm` puts the other topics into /arm."""
     sim_time: bool = False
     """Stamp messages that have no stamp of their own by the topic /clock, as ROS does under use_sim_time."""
 

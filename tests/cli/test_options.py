@@ -17,7 +17,9 @@ def options_in(command: click.Command) -> set[str]:
 
 
 SHARED = options_in(
-    command("t", options.where, options.work, options.tuning, options.output)(lambda session, given: None)
+    command("t", options.where, options.narrowing, options.work, options.tuning, options.output)(
+        lambda session, given: None
+    )
 )
 
 

@@ -13,6 +13,7 @@ from urllib.request import urlopen
 
 import pytest
 
+from amhe_cli.cli.command import from_ros
 from amhe_cli.cli.main import run
 from amhe_cli.core.belief import Belief
 from amhe_cli.logs import read_log, survey
@@ -159,3 +160,10 @@ def test_mistakes_are_one_line(arguments: list[str], said: str, capsys) -> None:
     assert run(arguments) == 2
     text = capsys.readouterr().err
     assert said in text and text.count("\n") == 1
+
+
+def test_arguments_of_ros_are_settings() -> None:
+    ros = ["--ros-args", "-r", "/a:=/b", "--remap", "__ns:=/arm", "-p", "use_sim_time:=true", "--"]
+    rules = ["--set", "live.remap=/a:=/b,__ns:=/arm", "--set", "live.sim_time=true"]
+    assert from_ros(["watch", *ros, "-q"]) == ["watch", *rules, "-q"]
+    assert from_ros(["watch", "--ros-args"]) == ["watch"]

@@ -18,7 +18,7 @@ from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs.containers.raw import Batch
 from amhe_cli.logs.live.messages import LiveSource
-from amhe_cli.logs.live.ros import RosTransport, dds_type, ros_type
+from amhe_cli.logs.live.ros import RosTransport, dds_type, renamed, ros_type
 from amhe_cli.logs.messages.definitions import Definitions
 
 KIND = "sensor_msgs/msg/JointState"
@@ -236,3 +236,12 @@ def test_a_port_that_is_taken_is_one_line() -> None:
         port = taken.getsockname()[1]
         with pytest.raises(ConfigError, match=rf"^`live.foxglove`: port {port} cannot be served"):
             FoxgloveServer(port, Definitions())
+
+
+def test_topics_are_renamed_as_ros_does() -> None:
+    signals = [Signal(name, f"/{name}", ("position",)) for name in ("joints", "commands")]
+    found = renamed(signals, ["/joints:=/x/joint_states", "__ns:=/arm/"])
+    assert [one.topic for one in found] == ["/x/joint_states", "/arm/commands"]
+    assert renamed(signals, []) == signals
+    with pytest.raises(ConfigError, match=r"^`live.remap`: '/a=/b' is no rule"):
+        renamed(signals, ["/a=/b"])

@@ -16,6 +16,7 @@ from amhe_cli.logs.live.dds import Dds
 from amhe_cli.logs.live.growing import GrowingMcap
 from amhe_cli.logs.live.lines import Lines, listening
 from amhe_cli.logs.live.messages import CLOCK, LiveSource
+from amhe_cli.logs.live.ros import renamed
 from amhe_cli.logs.live.transport import Played, Transport
 from amhe_cli.logs.live.zenoh import Zenoh
 from amhe_cli.logs.messages.definitions import Definitions
@@ -77,7 +78,8 @@ def open_source(
     Raises:
         LogError: The log cannot be read.
     """
-    settings, signals = system.settings, list(system.signals)
+    settings = system.settings
+    signals = renamed(system.signals, settings.live.remap)
     clock = [CLOCK] if settings.live.sim_time else []
     topics = frozenset([*(signal.topic for signal in signals), *clock])
     transport = open_transport(name, follow, topics, signals, definitions, settings.live)

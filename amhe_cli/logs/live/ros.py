@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 
-from amhe_cli.core.errors import LogError
+from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.limits import limits
+from amhe_cli.core.signals import Signal
 from amhe_cli.logs.containers.raw import Connection
 from amhe_cli.logs.live.transport import Transport
 from amhe_cli.logs.messages.definitions import Definitions
@@ -23,6 +25,25 @@ def dds_type(name: str) -> str:
 def ros_type(name: str) -> str:
     """'sensor_msgs/msg/JointState' of 'sensor_msgs::msg::dds_::JointState_'."""
     return "/".join(part for part in name.removesuffix("_").split("::") if part != "dds_")
+
+
+def renamed(signals: Sequence[Signal], rules: Sequence[str]) -> list[Signal]:
+    """Signals with their topics as rules name them, each `FROM:=TO`.
+
+    Args:
+        signals: The signals.
+        rules: As those after `--ros-args -r`; `__ns:=/arm` puts topics that no other rule names into /arm.
+
+    Raises:
+        ConfigError: A rule is none.
+    """
+    pairs = [rule.partition(":=") for rule in rules]
+    for (old, sign, new), rule in zip(pairs, rules, strict=True):
+        if not (old and sign and new):
+            raise ConfigError(f"`live.remap`: {rule!r} is no rule; write /joint_states:=/arm/joint_states")
+    names = {old: new for old, _, new in pairs}
+    space = names.pop("__ns", "").rstrip("/")
+    return [replace(one, topic=names.get(one.topic, f"{space}{one.topic}")) for one in signals]
 
 
 class RosTransport(Transport):
