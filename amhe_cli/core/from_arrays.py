@@ -50,28 +50,50 @@ def series_of(
     for key, signal in signals.items():
         times = (stamps_ns[key] - start_ns) / 1e9
         samples = _samples(arrays[key], signal, times.size, system.widths, name)
-        bridge = longest_bridge(times, system.settings.logs.max_gap, signal.held)
         for quantity in samples:
             samples[quantity], notes = cleaned(
                 signal, quantity, samples[quantity], times, system.settings.logs
             )
             for note in notes:
                 logger.warning("%s: signal %r: %s", name, key, note)
-        for quantity in signal.quantities:
-            source = quantity if quantity in samples else DERIVED[quantity]
-            derived = source != quantity
-            values = samples[source]
-            series[signal.key(quantity)] = resample(
-                times,
-                differentiated(times, values, source, bridge) if derived else values,
-                _columns(signal, 3 if derived and source == "orientation" else values.shape[1]),
-                grid,
-                bridge=bridge,
-                hold=signal.held,
-                rotation=quantity == "orientation",
-                derived=derived,
-            )
+        columns = {quantity: _columns(signal, values.shape[1]) for quantity, values in samples.items()}
+        series |= on_grid(grid, times, signal, samples, columns, system.settings.logs.max_gap)
     return corrected(series, system.signals, system.dt), start_ns
+
+
+def on_grid(
+    grid: FloatArray,
+    times: FloatArray,
+    signal: Signal,
+    samples: Mapping[str, FloatArray],
+    columns: Mapping[str, tuple[str, ...]],
+    max_gap: float,
+) -> dict[str, Series]:
+    """Series of each quantity of a signal at the instants of a clock, velocities differentiated if need be.
+
+    Args:
+        grid: Instants of the clock [s], uniform, shape (T,).
+        times: Times of the samples [s], strictly increasing, shape (n,).
+        signal: The signal.
+        samples: Quantity -> samples in SI, shape (n, k), or those of what it is the derivative of.
+        columns: Names of the columns of each.
+        max_gap: Longest silence that is bridged [s].
+    """
+    bridge, series = longest_bridge(times, max_gap, signal.held), dict[str, Series]()
+    for quantity in signal.quantities:
+        source = quantity if quantity in samples else DERIVED[quantity]
+        values, derived = samples[source], source != quantity
+        series[signal.key(quantity)] = resample(
+            times,
+            differentiated(times, values, source, bridge) if derived else values,
+            ("x", "y", "z") if derived and source == "orientation" else columns[source],
+            grid,
+            bridge=bridge,
+            hold=signal.held,
+            rotation=quantity == "orientation",
+            derived=derived,
+        )
+    return series
 
 
 def _stamps(given: Any, signal: Signal, name: str) -> np.ndarray:

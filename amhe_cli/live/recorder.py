@@ -162,22 +162,18 @@ class Recorder:
             log.diagnostics(stamp, level, text, values)
         if step is not None:  # the plan was sampled
             command = cycle.plan.command
-            plan = log.message(
-                PLAN,
-                header=log.header(""),
-                rollouts=step.rollouts,
-                diverged=step.diverged,
-                effective_samples=step.effective_samples,
-                best_cost=step.best,
-                mean_cost=step.average,
-                terms=list(step.terms),
-                term_costs=np.array(list(step.terms.values()), dtype=np.float64),
-                command=np.array([] if command is None else command, dtype=np.float64),
-            )
+            plan = {
+                "rollouts": step.rollouts,
+                "diverged": step.diverged,
+                "effective_samples": step.effective_samples,
+                "best_cost": step.best,
+                "mean_cost": step.average,
+                "terms": list(step.terms),
+                "term_costs": list(step.terms.values()),
+                "command": () if command is None else command,
+            }
             log.write("/amhe/plan", PLAN, stamp, plan)
-        timing = log.message(
-            TIMING, header=log.header(""), plan_ms=cycle.plan_ms, deadline_misses=cycle.misses
-        )
+        timing = {"plan_ms": cycle.plan_ms, "deadline_misses": cycle.misses}
         log.write("/amhe/timing", TIMING, stamp, timing)
 
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
-from pathlib import Path
 
 from amhe_cli.core.errors import LogError
 from amhe_cli.core.signals import Signal
@@ -49,55 +48,39 @@ def collect(log: StoredLog, signals: Sequence[Signal], definitions: Definitions)
             if signal.name not in decoders:
                 decoders[signal.name] = SignalDecoder(signal, connection)
             decoders[signal.name].feed(batch, groups)
-    _warn(log, signals, splitters, decoders)
-    for signal in signals:
-        if signal.name not in decoders:
-            raise LogError(f"{log.path}: {missing(log.connections, signal, log.problems)}")
-    return {signal.name: _checked(log.path, signal, decoders[signal.name]) for signal in signals}
-
-
-def _checked(path: Path, signal: Signal, decoder: SignalDecoder) -> SignalSamples:
-    def warn(text: str) -> None:
-        logger.warning("%s: topic %r: %s", path, signal.topic, text)
-
-    return checked(decoder.samples(), signal, warn)
-
-
-def _warn(
-    log: StoredLog,
-    signals: Sequence[Signal],
-    splitters: dict[Connection, Splitter],
-    decoders: dict[str, SignalDecoder],
-) -> None:
     for problem in log.problems:
         logger.warning("%s: %s", log.path, problem)
     for connection, splitter in splitters.items():
         if splitter.damaged:
-            logger.warning(
-                "%s: topic %r: %s damaged and dropped (%s)",
-                log.path, connection.topic, messages(splitter.damaged), splitter.reason,
-            )  # fmt: skip
-    blank = {connection.topic for connection in splitters if connection.encoding in (TABLE, "json")}
+            text = f"{messages(splitter.damaged)} damaged and dropped ({splitter.reason})"
+            logger.warning("%s: topic %r: %s", log.path, connection.topic, text)
+    found = {}
     for signal in signals:
-        types = {connection.type for connection in log.connections if connection.topic == signal.topic}
-        decoder = decoders.get(signal.name)
-        if len(types) > 1 and decoder is not None:
-            logger.warning(
-                "%s: topic %r carries several types (%s): only %s is read",
-                log.path, signal.topic, ", ".join(sorted(types)), decoder.type,
-            )  # fmt: skip
-        for quantity, count in (decoder.not_finite if decoder else {}).items():
-            # A driver that never fills in its efforts is no damage, nor is a blank cell of a table.
-            if decoder is not None and 0 < count < decoder.count and signal.topic not in blank:
-                logger.warning(
-                    "%s: topic %r: %s with %s that is not finite dropped",
-                    log.path, signal.topic, messages(count), quantity,
-                )  # fmt: skip
-        if decoder is not None and decoder.odd:
-            logger.warning(
-                "%s: topic %r: arrays of another length than the first message's are left out",
-                log.path, signal.topic,
-            )  # fmt: skip
+        if (decoder := decoders.get(signal.name)) is None:
+            raise LogError(f"{log.path}: {missing(log.connections, signal, log.problems)}")
+
+        def warn(text: str, topic: str = signal.topic) -> None:
+            logger.warning("%s: topic %r: %s", log.path, topic, text)
+
+        for text in _losses(log.connections, signal, decoder):
+            warn(text)
+        found[signal.name] = checked(decoder.samples(), signal, warn)
+    return found
+
+
+def _losses(connections: Sequence[Connection], signal: Signal, decoder: SignalDecoder) -> Iterator[str]:
+    """What of a signal's messages is not read."""
+    here = [connection for connection in connections if connection.topic == signal.topic]
+    types = {connection.type for connection in here}
+    if len(types) > 1:
+        yield f"carries several types ({', '.join(sorted(types))}): only {decoder.type} is read"
+    # A driver that never fills in its efforts is no damage, nor is a blank cell of a table.
+    if not any(connection.encoding in (TABLE, "json") for connection in here):
+        for quantity, count in decoder.not_finite.items():
+            if 0 < count < decoder.count:
+                yield f"{messages(count)} with {quantity} that is not finite dropped"
+    if decoder.odd:
+        yield "arrays of another length than the first message's are left out"
 
 
 def missing(connections: Sequence[Connection], signal: Signal, problems: Sequence[str] = ()) -> str:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from amhe_cli.core import rotations
-from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs.containers.raw import messages
 from amhe_cli.logs.messages.decode import SignalSamples
@@ -32,7 +32,8 @@ def checked(samples: SignalSamples, signal: Signal, warn: Callable[[str], None])
     values = dict(samples.values)
     for quantity, block in samples.values.items():
         plain = quantity == "value" and not signal.is_input  # a number of any unit, which drives nothing
-        if plain or not _beyond(block):  # as in most logs: nothing is copied
+        ends = (float(end.reduce(block, axis=None, initial=0.0)) for end in (np.fmax, np.fmin))
+        if plain or not any(abs(end) > _ABSURD for end in ends):  # as in most logs: nothing is copied
             continue
         with np.errstate(invalid="ignore"):
             absurd = np.any(np.abs(block) > _ABSURD, axis=1)
@@ -43,15 +44,9 @@ def checked(samples: SignalSamples, signal: Signal, warn: Callable[[str], None])
     return replace(samples, values=values)
 
 
-def _beyond(block: FloatArray) -> bool:
-    """Whether any number is impossible; NaN is not."""
-    ends = (float(end.reduce(block, axis=None, initial=0.0)) for end in (np.fmax, np.fmin))
-    return any(abs(end) > _ABSURD for end in ends)
-
-
 def _check_rotation(values: dict[str, FloatArray], signal: Signal, warn: Callable[[str], None]) -> None:
     quaternions = values["orientation"]
-    lost = _lost(quaternions)
+    lost = ~(np.abs(np.linalg.norm(quaternions, axis=1) - 1.0) <= _NORM)
     if lost.all() and "orientation" not in signal.quantities:
         return
     values["orientation"] = np.where(
@@ -64,30 +59,25 @@ def _check_rotation(values: dict[str, FloatArray], signal: Signal, warn: Callabl
             values[quantity] = np.where(lost[:, None], np.nan, block)
 
 
-def twist_looks_global(times: FloatArray, values: Mapping[str, FloatArray], turned: FloatArray) -> bool:
+def twist_looks_global(times: FloatArray, samples: SignalSamples, turned: FloatArray) -> bool:
     """Whether an odometry's velocity fits its positions only if it is *not* turned out of the child frame.
 
     Args:
         times: Stamps [s], shape (m,).
-        values: Position and linear_velocity as logged, shape (m, 3).
+        samples: The samples, with position and linear_velocity as logged, shape (m, 3).
         turned: The velocity turned into the world as ROS defines it, shape (m, 3).
     """
-    known = np.isfinite(values["position"]).all(axis=1) & np.isfinite(turned).all(axis=1)
-    times, position, turned = times[known], values["position"][known], turned[known]
+    if not samples.twist_in_child:
+        return False
+    position, logged = samples.values["position"], samples.values["linear_velocity"]
+    known = np.isfinite(position).all(axis=1) & np.isfinite(turned).all(axis=1)
+    times, position, turned, logged = times[known], position[known], turned[known], logged[known]
     if times.size < 10:
         return False
     half = min(int(np.ceil(_TWIST_SPAN / np.median(np.diff(times)))), (times.size - 1) // 2)
     early, middle, late = (slice(i, times.size - 2 * half + i) for i in (0, half, 2 * half))
     moved = (position[late] - position[early]) / (times[late] - times[early])[:, None]
-    as_ros_says = _median_length(moved - turned[middle])
-    as_logged = _median_length(moved - values["linear_velocity"][known][middle])
+    as_ros_says, as_logged = (
+        float(np.median(np.linalg.norm(moved - one[middle], axis=1))) for one in (turned, logged)
+    )
     return as_ros_says > _TWIST_ERROR and as_logged < 0.3 * as_ros_says
-
-
-def _median_length(vectors: FloatArray) -> float:
-    return float(np.median(np.linalg.norm(vectors, axis=1))) if vectors.size else 0.0
-
-
-def _lost(quaternions: FloatArray) -> BoolArray:
-    norms = np.linalg.norm(quaternions, axis=1)
-    return ~(np.abs(norms - 1.0) <= _NORM)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -12,7 +12,7 @@ import numpy as np
 from amhe_cli.core.arrays import IntArray
 from amhe_cli.core.log import Log
 from amhe_cli.core.signals import Signal
-from amhe_cli.logs.clocks import Clock, Stamp, header_steps, offset_words, step_words, timeline
+from amhe_cli.logs.clocks import Clock, Stamp, Timeline, header_steps, offset_words, step_words, timeline
 from amhe_cli.logs.containers.folder import open_log
 from amhe_cli.logs.containers.raw import Batch, Connection, messages, readable
 from amhe_cli.logs.containers.table_file import ENCODING as TABLE
@@ -144,8 +144,15 @@ class Inspection:
 
 @dataclass(slots=True)
 class _Scan:
-    """Counts and stamps of one connection."""
+    """Counts and stamps of one connection.
 
+    Args:
+        splitter: Sorts its messages; None: they cannot be read.
+        info: Where its type keeps its quantities; None: it is not built in.
+    """
+
+    splitter: Splitter | None = None
+    info: TypeInfo | None = None
     log_ns: list[IntArray] = field(default_factory=list)
     publish_ns: list[IntArray] = field(default_factory=list)
     header_ns: list[IntArray] = field(default_factory=list)
@@ -153,30 +160,29 @@ class _Scan:
     carried: dict[str, None] = field(default_factory=dict)
     paths: dict[str, int | None] | None = None
     has_header: bool = False
-    splitter: Splitter | None = None
-    info: TypeInfo | None = None
 
     def take(self, batch: Batch) -> None:
-        header_ns = None
+        header_ns = _zeros(batch.starts.size)
         for group in self.splitter.split(batch) if self.splitter else ():
             if (stamps := self._look(group)) is not None:
-                header_ns = np.zeros(batch.starts.size, dtype=np.int64) if header_ns is None else header_ns
+                header_ns = header_ns if header_ns.flags.writeable else np.array(header_ns)
                 header_ns[group.members] = stamps
         self.log_ns.append(batch.log_ns)
         self.publish_ns.append(batch.publish_ns)
-        self.header_ns.append(_zeros(batch.starts.size) if header_ns is None else header_ns)
+        self.header_ns.append(header_ns)
 
     def _look(self, group: MessageGroup) -> IntArray | None:
         """Notes what is in the messages, and returns their header stamps."""
-        self.entries |= dict.fromkeys(_entries(group.layout))
-        self.carried |= dict.fromkeys(_carried(group.layout, self.info))
+        layout = group.layout
+        self.entries |= dict.fromkeys(_entries(layout))
         if self.info is None:
-            here = _number_paths(group.layout)
+            here = {p: leaf.count for p, leaf in layout.leaves.items() if not _TIME_PATHS.search(p)}
             known = here if self.paths is None else self.paths
             self.paths = {path: size for path, size in known.items() if here.get(path, 0) == size}
+        else:
+            self.carried |= dict.fromkeys(_carried(layout, self.info))
         for path in ("header.stamp", "stamp", "transforms[0].header.stamp", "transforms[0].stamp"):
-            leaves = time_leaves(group.layout, path)
-            if leaves:
+            if leaves := time_leaves(layout, path):
                 self.has_header = True
                 return nanoseconds(group.rows, leaves)
         return None
@@ -226,7 +232,7 @@ def survey(
             if connection not in scans:
                 usable = definitions.problem(connection) is None
                 splitter = Splitter(connection, definitions) if usable else None
-                scans[connection] = _Scan(splitter=splitter, info=TYPES.get(connection.type))
+                scans[connection] = _Scan(splitter, TYPES.get(connection.type))
             scans[connection].take(batch)
         for connection in log.connections:
             scans.setdefault(connection, _Scan())
@@ -237,12 +243,17 @@ def survey(
         stamp: Stamp = "log" if any(steps.values()) else "auto"
         topics, lags = [], {}
         for connection in sorted(scans, key=lambda connection: (connection.topic, connection.type)):
-            found = samples[connection]
-            timing = _timing(found, _mixes_frames(connection), stamp, steps[connection], origin)
+            found, jumps = samples[connection], steps[connection]
+            times = (
+                timeline(found, "log" if _mixes_frames(connection) else stamp) if found.log_ns.size else None
+            )
+            if times is not None and times.clock == "header" and found.log_ns.size >= _ENOUGH:
+                lags[connection.topic] = times.lag
+            if jumps and times is not None:
+                note = f"{step_words(jumps)}: the recorder's stamps are used for all topics"
+                times = replace(times, notes=(note, *times.notes))
             problem = definitions.problem(connection)
-            topics.append(_topic(connection, scans[connection], found, timing, problem))
-            if timing.lag is not None:
-                lags[connection.topic] = timing.lag
+            topics.append(_topic(connection, scans[connection], found, times, stamp, origin, problem))
     words = tuple(offset_words(lags))
     return Survey(path, log.format, duration, tuple(topics), tuple(log.problems), log.metadata, words)
 
@@ -274,67 +285,44 @@ def _span(samples: Mapping[Connection, SignalSamples]) -> tuple[int, float]:
     return int(every[0]), int(every[-1] - every[0]) / 1e9
 
 
-@dataclass(frozen=True, slots=True)
-class _Timing:
-    """Rate and silences of one topic, and the clock that reading it would use; see `TopicSurvey`.
-
-    Args:
-        lag: Median delay of the recorder behind the topic's header clock [s]; None if that is not known.
-    """
-
-    clock: Clock = "log"
-    header: str = "none"
-    rate: float = 0.0
-    longest_gap: float = 0.0
-    gap_at: float = 0.0
-    lag: float | None = None
-    notes: tuple[str, ...] = ()
-
-
 def _mixes_frames(connection: Connection) -> bool:
     """Whether a topic's messages are of several frames: only reading one frame can judge its own clock."""
     info = TYPES.get(connection.type)
     return bool(info and info.elements and not info.names)
 
 
-def _timing(
-    samples: SignalSamples, mixed: bool, stamp: Stamp, jumps: Sequence[tuple[float, float]], origin: int
-) -> _Timing:
-    """Judge a topic's stamps.
+def _topic(
+    connection: Connection,
+    scan: _Scan,
+    samples: SignalSamples,
+    times: Timeline | None,
+    stamp: Stamp,
+    origin: int,
+    problem: str | None,
+) -> TopicSurvey:
+    """What there is to say of a topic.
 
     Args:
+        connection: The topic.
+        scan: What is in its messages.
         samples: Stamps of all its messages.
-        mixed: Whether they are of several frames, each with a clock of its own.
-        stamp: The clock that the user or another topic's steps demand.
-        jumps: Steps of the topic's header clock, as of `header_steps`.
+        times: The stamps that reading it would use; None: it has no messages.
+        stamp: The clock that another topic's steps demand, or 'auto'.
         origin: First stamp of the log [ns].
+        problem: Why it cannot be read.
     """
-    header = _header(samples)
-    if not samples.log_ns.size:
-        return _Timing(header=header)
-    times = timeline(samples, "log" if mixed else stamp)
-    notes = [f"{step_words(jumps)}: the recorder's stamps are used for all topics"] if jumps else []
-    clock, lag = times.clock, None
-    if mixed and stamp == "auto" and samples.header_ns.all():
+    info, damaged = scan.info, scan.splitter.damaged if scan.splitter else 0
+    damage = (f"{messages(damaged)} damaged ({scan.splitter.reason})",) if scan.splitter and damaged else ()
+    clock, header = times.clock if times else "log", _header(samples)
+    if times and _mixes_frames(connection) and stamp == "auto" and samples.header_ns.all():
         clock, header = "header", "good"
-    if times.clock == "header" and samples.log_ns.size >= _ENOUGH:
-        lag = times.lag
     rate = gap = gap_at = 0.0
-    if times.kept.size > 1:
+    if times and times.kept.size > 1:
         periods = np.diff(times.stamps_ns) / 1e9
         widest = int(np.argmax(periods))
         gap = float(periods[widest])
         rate = float(1.0 / np.median(periods, overwrite_input=True))
         gap_at = (int(samples.log_ns[times.kept[widest]]) - origin) / 1e9
-    return _Timing(clock, header, rate, gap, gap_at, lag, (*notes, *times.notes))
-
-
-def _topic(
-    connection: Connection, scan: _Scan, samples: SignalSamples, timing: _Timing, problem: str | None
-) -> TopicSurvey:
-    info = TYPES.get(connection.type)
-    damaged = scan.splitter.damaged if scan.splitter else 0
-    damage = (f"{messages(damaged)} damaged ({scan.splitter.reason})",) if scan.splitter and damaged else ()
     header_ns = samples.header_ns[samples.header_ns != 0]
     stamps = {"header": header_ns, "publish": samples.publish_ns, "log": samples.log_ns}
     return TopicSurvey(
@@ -342,18 +330,18 @@ def _topic(
         type=connection.type,
         encoding=connection.encoding,
         count=samples.log_ns.size,
-        rate=timing.rate,
-        longest_gap=timing.longest_gap,
-        gap_at=timing.gap_at,
+        rate=rate,
+        longest_gap=gap,
+        gap_at=gap_at,
         first_ns={clock: int(s[0]) for clock, s in stamps.items() if s.size},
         last_ns={clock: int(s[-1]) for clock, s in stamps.items() if s.size},
-        header=timing.header,
-        clock=timing.clock,
+        header=header,
+        clock=clock,
         quantities=tuple(q for q in info.fields if q in scan.carried or not scan.carried) if info else (),
         entries=tuple(scan.entries) or table_columns(connection),
         paths=(scan.paths or {}) if connection.encoding != TABLE else {},
         problem=problem,
-        notes=(*damage, *timing.notes),
+        notes=(*damage, *(times.notes if times else ())),
     )
 
 
@@ -377,15 +365,8 @@ def _entries(layout: Layout) -> list[str]:
     return [*names, *frames, *sizes]
 
 
-def _number_paths(layout: Layout) -> dict[str, int | None]:
-    """Paths of a layout's numbers, stamps left out -> their count where they are an array."""
-    return {p: leaf.count for p, leaf in layout.leaves.items() if not _TIME_PATHS.search(p)}
-
-
-def _carried(layout: Layout, info: TypeInfo | None) -> list[str]:
+def _carried(layout: Layout, info: TypeInfo) -> list[str]:
     """Quantities with values in this layout; an empty array, such as an unmeasured effort, is absent."""
-    if info is None:
-        return []
     count = layout.counts.get(info.elements, 0) if info.elements else 1
     prefixes = [f"{info.elements}[{i}]." if info.elements else "" for i in range(count)]
     return [

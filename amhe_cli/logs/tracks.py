@@ -11,10 +11,10 @@ import numpy as np
 
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.differentiate import differentiated
 from amhe_cli.core.errors import ConfigError, LogError
+from amhe_cli.core.from_arrays import on_grid
 from amhe_cli.core.readout import cleaned
-from amhe_cli.core.resample import common_rows, longest_bridge, resample, too_many
+from amhe_cli.core.resample import common_rows, too_many
 from amhe_cli.core.series import Series
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import DERIVED, Signal
@@ -146,24 +146,26 @@ def series_of(
     Raises:
         LogError: The topic carries nothing that a quantity could be computed from.
     """
-    signal = track.signal
+    signal, samples = track.signal, dict[str, FloatArray]()
+    where = f"{path}: topic {signal.topic!r}"
     times = (track.times.stamps_ns - start_ns) / 1e9
-    bridge = longest_bridge(times, max_gap, signal.held)
-    series: dict[str, Series] = {}
     for quantity in signal.quantities:
-        values, columns, derived = _values(path, track, quantity, times, bridge)
+        source = quantity
+        if (values := track.converted(quantity)) is None:
+            source = DERIVED.get(quantity, "")
+            values = samples.get(source, track.converted(source))
+            if values is None:
+                raise LogError(f"{where} carries no {quantity}")
+            logger.info("%s: %s is differentiated from %s", where, quantity, source)
+        elif quantity == "linear_velocity" and twist_looks_global(times, track.samples, values):
+            logger.warning(
+                "%s: its twist fits its positions better as a velocity in the world frame, but ROS defines "
+                "it in the child frame, and so it was read",
+                where,
+            )
         values.setflags(write=False)  # nobody else has them: the log need not copy them
-        series[signal.key(quantity)] = resample(
-            times,
-            values,
-            columns,
-            grid,
-            bridge=bridge,
-            hold=signal.held,
-            rotation=quantity == "orientation",
-            derived=derived,
-        )
-    return series
+        samples[source] = values
+    return on_grid(grid, times, signal, samples, track.samples.columns, max_gap)
 
 
 def warn_of_gaps(path: Path, signal: Signal, series: Mapping[str, Series], dt: float) -> None:
@@ -183,32 +185,3 @@ def warn_of_gaps(path: Path, signal: Signal, series: Mapping[str, Series], dt: f
         path, signal.topic, signal.name, ", ".join(shown), rest,
         f"{dt * missing.sum():.2f}", f"{dt * missing.size:.2f}",
     )  # fmt: skip
-
-
-def _values(
-    path: Path, track: SignalTrack, quantity: str, times: FloatArray, bridge: float
-) -> tuple[FloatArray, tuple[str, ...], bool]:
-    """Bring one quantity into our convention; differentiate it where the topic lacks it.
-
-    Returns:
-        Samples (m, k), names of the columns, whether they were differentiated.
-    """
-    known: Mapping[str, FloatArray] = track.samples.values
-    values = track.converted(quantity)
-    if values is not None:
-        turned = quantity == "linear_velocity" and track.samples.twist_in_child
-        if turned and twist_looks_global(times, known, values):
-            logger.warning(
-                "%s: topic %r: its twist fits its positions better as a velocity in the world frame, but "
-                "ROS defines it in the child frame, and so it was read",
-                path,
-                track.signal.topic,
-            )
-        return values, track.samples.columns[quantity], False
-    source = DERIVED.get(quantity, "")
-    values = track.converted(source)
-    if values is None:
-        raise LogError(f"{path}: topic {track.signal.topic!r} carries no {quantity}")
-    logger.info("%s: topic %r: %s is differentiated from %s", path, track.signal.topic, quantity, source)
-    columns = ("x", "y", "z") if source == "orientation" else track.samples.columns[source]
-    return differentiated(times, values, source, bridge), columns, True

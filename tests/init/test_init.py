@@ -124,11 +124,9 @@ def test_servo_gain_is_known_only_so_well(tmp_path: Path, walker_log: Path) -> N
 def test_an_array_command_and_a_frame_of_tf(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     with LogWriter(path, {}) as log:
-        layout = log.message("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
         for step in range(50):
             stamp = 10**18 + step * STEP_NS
-            message = log.message("std_msgs/msg/Float64MultiArray", layout=layout, data=np.zeros(2))
-            log.write("/controller/commands", "std_msgs/msg/Float64MultiArray", stamp, message)
+            log.numbers("/controller/commands", stamp, np.zeros(2))
             log.joint_state("/joint_states", stamp, ["shoulder", "elbow"], np.zeros(2))
             log.transform("/tf", stamp, {"tool": (np.zeros(3), np.array([1.0, 0, 0, 0]))})
     model = """<mujoco><worldbody><body name="arm"><joint name="shoulder"/><geom size="0.1"/>

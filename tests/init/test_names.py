@@ -40,14 +40,8 @@ def go2(tmp_path: Path) -> tuple[Path, Path]:
             "uint8[2] head\nunitree_go/MotorState[20] motor_state\nfloat32[4] foot_force",
         )
         for i in range(50):
-            motors = [
-                log.message(f"{package}MotorState", mode=1, q=0.01 * i + k, dq=0.5, tau_est=0.0,
-                            reserve=np.zeros(2, np.uint32))
-                for k in range(20)
-            ]  # fmt: skip
-            state = log.message(f"{package}LowState", head=np.zeros(2, np.uint8), motor_state=motors,
-                                foot_force=np.zeros(4, np.float32))  # fmt: skip
-            log.write("/lowstate", f"{package}LowState", 10**18 + i * 10**7, state)
+            motors = [{"mode": 1, "q": 0.01 * i + k, "dq": 0.5} for k in range(20)]
+            log.write("/lowstate", f"{package}LowState", 10**18 + i * 10**7, {"motor_state": motors})
     return model, path
 
 

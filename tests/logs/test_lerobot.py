@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 from pathlib import Path
 from typing import Any
 
@@ -71,10 +70,7 @@ def dataset(folder: Path, version: str, size: float = 1.0, names: Any = None, **
     }  # fmt: skip
     (path / "meta" / "info.json").write_text(json.dumps(info))
     (path / "data" / "chunk-000").mkdir(parents=True)
-    bound = {"min": [-size, -size, 0.0], "max": [size, size, 100.0]}
-    stats = {"observation.state": bound, "action": bound}
     if new:
-        (path / "meta" / "stats.json").write_text(json.dumps(stats))
         for file in range(EPISODES // 2):
             both = pa.concat_tables([frames(2 * file, size), frames(2 * file + 1, size)])
             parquet.write_table(both, path / "data" / "chunk-000" / f"file-{file:03d}.parquet")
@@ -88,8 +84,6 @@ def dataset(folder: Path, version: str, size: float = 1.0, names: Any = None, **
         }
         parquet.write_table(pa.table(places_of), listed / "file-000.parquet")
     else:
-        lines = [json.dumps({"episode_index": e, "stats": stats}) for e in range(EPISODES)]
-        (path / "meta" / "episodes_stats.jsonl").write_text("\n".join(lines))
         for episode in range(EPISODES):
             file = path / "data" / "chunk-000" / f"episode_{episode:06d}.parquet"
             parquet.write_table(frames(episode, size), file)
@@ -130,37 +124,6 @@ def test_addresses(tmp_path: Path) -> None:
         survey(path)
     with pytest.raises(ConfigError, match="no such file"):
         survey(tmp_path / "none#3")
-
-
-@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
-def test_degrees_are_converted_and_reported_once(
-    version: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    path = dataset(tmp_path, version, size=170.0)
-    for episode in (0, 1):
-        log = read_signals(Path(f"{path}#{episode}"), SIGNALS, 1.0 / FPS, LogSettings())
-        wanted = np.deg2rad(state(episode, 170.0)[:, :2])
-        np.testing.assert_allclose(log["joints.position"].values, wanted, atol=1e-5)
-    assert caplog.text.count("angles up to 170 are degrees") == 1
-    (topic,) = survey(Path(f"{path}#0")).topics
-    assert "observation.state.gripper.pos" in topic.entries
-
-
-def test_normalised_units_are_reported_and_not_converted(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    path = dataset(tmp_path, "v3.0", size=90.0)
-    log = read_signals(Path(f"{path}#0"), SIGNALS, 1.0 / FPS, LogSettings())
-    np.testing.assert_allclose(log["joints.position"].values, state(0, 90.0)[:, :2], atol=1e-5)
-    assert "normalised units" in caplog.text and "'unit': 'deg'" in caplog.text
-
-
-def test_a_unit_in_the_description_wins(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    path = dataset(tmp_path, "v3.0", size=90.0, names={"motors": list(NAMES)}, unit="deg")
-    with caplog.at_level(logging.WARNING):
-        log = read_signals(Path(f"{path}#0"), SIGNALS, 1.0 / FPS, LogSettings())
-    np.testing.assert_allclose(log["joints.position"].values, np.deg2rad(state(0, 90.0)[:, :2]), atol=1e-5)
-    assert "degrees" not in caplog.text
 
 
 def test_what_is_missing_or_of_another_version_is_named(tmp_path: Path) -> None:

@@ -159,29 +159,6 @@ def test_an_index_behind_a_chunk_is_not_read_beyond_what_the_chunk_can_hold() ->
         assert len(mcap_index.indexed(data, chunk, 31 * 100)) == 1
 
 
-@pytest.mark.parametrize("kind", ["ZSTD", "LZ4", "NONE"])
-def test_a_chunk_that_is_cut_off_is_used_up_to_the_cut(
-    kind: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    from mcap.writer import CompressionType
-
-    one = write_mcap(
-        tmp_path / "a", motion(ROS2, 2000), chunk_size=2**24, compression=CompressionType[kind]
-    ).read_bytes()
-    steps = []
-    for percent in range(5, 70, 9):  # behind the chunk are its index and the summary
-        trajectory = attempt(tmp_path / "log", one[: len(one) * percent // 100], caplog)
-        steps.append(trajectory.steps if trajectory else 0)
-        if trajectory is not None:
-            assert "used up to the cut, without its checksum" in caplog.text
-            assert "recorder crashed or copy incomplete" in caplog.text
-            assert not any(wrong_samples(trajectory).values()), f"{percent} %"
-    assert steps[-1] > 1200 and steps == sorted(steps)
-    half = one[: len(one) // 2]
-    zeroed = attempt(tmp_path / "log", half[:-5000] + bytes(5000), caplog)
-    assert zeroed is None or not any(wrong_samples(zeroed).values()), "pages that were never written"
-
-
 @pytest.mark.parametrize("name", FORMATS)
 def test_survey_and_metadata_of_damaged_logs(name: str, originals: dict[str, bytes], tmp_path: Path) -> None:
     rng = np.random.default_rng(7)

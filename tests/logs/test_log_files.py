@@ -356,8 +356,7 @@ def test_a_failing_run_leaves_a_whole_log(tmp_path: Path) -> None:
 def test_a_type_of_our_own_and_one_type_a_topic(tmp_path: Path) -> None:
     with LogWriter(tmp_path / "a", {}) as log:
         log.define("amhe_msgs/msg/Estimate", "std_msgs/Header header\nstring name\nfloat64 mean")
-        message = log.message("amhe_msgs/msg/Estimate", header=log.header("world"), name="mass", mean=1.5)
-        log.write("/e", "amhe_msgs/msg/Estimate", T0, message)
+        log.write("/e", "amhe_msgs/msg/Estimate", T0, {"name": "mass", "mean": 1.5})
         with pytest.raises(ValueError, match="carries amhe_msgs/msg/Estimate"):
             log.joint_state("/e", T0, ())
     signal = Signal("e", "/e", ("value",), fields={"value": ("mean",)})

@@ -47,21 +47,13 @@ def write_estimate(log: LogWriter, stamp_ns: int, estimate: Estimate) -> None:
     rows = zip(
         belief.names, belief.units, estimate.theta, estimate.sd, estimate.lower, estimate.upper, strict=True
     )
-    parameters = [
-        log.message(
-            PARAMETER, name=name, unit=unit,
-            value=float(value), sd=float(sd), lower=float(lower), upper=float(upper),
-        )
-        for name, unit, value, sd, lower, upper in rows
-    ]  # fmt: skip
-    message = log.message(
-        ESTIMATE,
-        header=log.header(""),
-        mark=estimate.mark,
-        misfit=estimate.misfit,
-        excitation=estimate.excitation,
-        rollouts=estimate.rollouts,
-        diverged=estimate.diverged,
-        parameters=parameters,
-    )
-    log.write("/amhe/estimate", ESTIMATE, stamp_ns, message)
+    fields = ("name", "unit", "value", "sd", "lower", "upper")
+    content = {
+        "mark": estimate.mark,
+        "misfit": estimate.misfit,
+        "excitation": estimate.excitation,
+        "rollouts": estimate.rollouts,
+        "diverged": estimate.diverged,
+        "parameters": [dict(zip(fields, row, strict=True)) for row in rows],
+    }
+    log.write("/amhe/estimate", ESTIMATE, stamp_ns, content)

@@ -19,7 +19,7 @@ _EPISODE = "episode_index"
 def parquet_arrays(
     path: Path, columns: Sequence[str] | None = None, episode: int | None = None
 ) -> dict[str, np.ndarray]:
-    """Columns of numbers of a parquet file.
+    """Columns of numbers, times and lists of numbers of one length, of a parquet file.
 
     A constant column takes no room, so rows and sizes are held against the limits before anything is
     unfolded, and lists as they are read: pyarrow counts them in the metadata of a column, but it aborts the
@@ -41,50 +41,42 @@ def parquet_arrays(
         about, schema = file.metadata, file.schema_arrow
         packed = sum(about.row_group(i).total_byte_size for i in range(about.num_row_groups))
         check_growth(path, max(8 * about.num_rows * about.num_columns, packed))
-        wanted = [name for name in number_columns(schema) if columns is None or name in columns]
+        wanted = [f.name for f in schema if _of_numbers(f.type) and (columns is None or f.name in columns)]
         there = episode is not None and _EPISODE in schema.names
         for batch in file.iter_batches(_ROWS, columns=list({*wanted, _EPISODE} if there else wanted)):
             size += batch.nbytes
             check_growth(path, size)
-            batch = (
-                batch.filter(pa.array(batch[_EPISODE].to_numpy(zero_copy_only=False) == episode))
-                if there
-                else batch
-            )
-            if there and batches and not batch.num_rows:
-                break  # the rows of an episode are together
+            if there:
+                batch = batch.filter(pa.array(batch[_EPISODE].to_numpy(zero_copy_only=False) == episode))
+                if batches and not batch.num_rows:
+                    break  # the rows of an episode are together
             batches += [batch.select(wanted)] if batch.num_rows else []
-    return arrow_arrays(pa.Table.from_batches(batches, pa.schema([schema.field(name) for name in wanted])))
+    table = pa.Table.from_batches(batches, pa.schema([schema.field(name) for name in wanted]))
+    return {name: a for name in wanted if (a := _array(table[name].combine_chunks())) is not None}
 
 
-def number_columns(schema: Any) -> list[str]:
-    """Columns of a pyarrow schema that `arrow_arrays` takes; texts, say, need not be unfolded."""
-    return [name for name, kind in zip(schema.names, schema.types, strict=True) if _of_numbers(kind)]
+def _is_list(kind: Any) -> bool:
+    import pyarrow as pa
+
+    return pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind)
 
 
 def _of_numbers(kind: Any) -> bool:
+    """Whether `_array` takes a column; texts, say, need not be unfolded."""
     import pyarrow as pa
 
-    if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
-        kind = kind.value_type
+    kind = kind.value_type if _is_list(kind) else kind
     number = pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)
     return number or pa.types.is_timestamp(kind)
 
 
-def arrow_arrays(table: Any) -> dict[str, np.ndarray]:
-    """The columns of numbers, times and lists of numbers of one length, of a pyarrow table."""
+def _array(column: Any) -> np.ndarray | None:
+    """A column as an array; None of lists of several lengths."""
     import pyarrow as pa
 
-    arrays: dict[str, np.ndarray] = {}
-    for name in number_columns(table.schema):
-        column = table[name].combine_chunks()
-        kind = column.type
-        if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
-            flat = column.flatten().to_numpy(zero_copy_only=False)
-            if len(column) and flat.size % len(column) == 0:
-                arrays[name] = flat.reshape(len(column), -1)
-        elif pa.types.is_timestamp(kind):
-            arrays[name] = column.cast(pa.timestamp("ns")).to_numpy(zero_copy_only=False)
-        else:
-            arrays[name] = column.to_numpy(zero_copy_only=False)
-    return arrays
+    if _is_list(column.type):
+        flat = column.flatten().to_numpy(zero_copy_only=False)
+        return flat.reshape(len(column), -1) if len(column) and flat.size % len(column) == 0 else None
+    if pa.types.is_timestamp(column.type):
+        column = column.cast(pa.timestamp("ns"))
+    return column.to_numpy(zero_copy_only=False)

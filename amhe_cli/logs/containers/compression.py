@@ -81,27 +81,6 @@ def _unfold(kind: str, data: bytes | memoryview, bound: int) -> bytes:
     raise ValueError(f"compression {kind!r} is not known; known are zstd, lz4, bz2")
 
 
-def unfold_start(kind: str, data: bytes, size: int) -> bytes:
-    """Unfold as much as possible, and at most `size` bytes, of a piece whose end is missing.
-
-    Raises:
-        ValueError: If what is there is damaged, or of a kind that cannot be read in part.
-    """
-    if size > limits().piece:
-        raise ValueError(beyond("piece_mib", f"a piece of {size / 2**20:.0f} MiB is"))
-    try:
-        if kind in ("", "none"):
-            return data[:size]
-        if kind == "zstd":
-            with zstandard.ZstdDecompressor().stream_reader(data) as stream:
-                return stream.read(size)
-        if kind == "lz4":
-            return lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size)
-    except (zstandard.ZstdError, RuntimeError, EOFError, OSError) as error:
-        raise ValueError(f"damaged {kind} data: {error}") from error
-    raise ValueError(f"compression {kind!r} cannot be read in part")
-
-
 def unfold_file(source: Path, target: BinaryIO) -> None:
     """Unfold a zstd file into `target`.
 

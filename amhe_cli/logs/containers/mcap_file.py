@@ -1,9 +1,8 @@
 """MCAP containers, whole or damaged.
 
-Each chunk carries a checksum of its messages, which is always verified; a chunk that fails is reported
-and left out. Only a chunk that the end of the file cuts off is used without its checksum: its whole records
-before the cut, as far as they agree with the chunk's header. In a file that was written without checksums, a
-flipped bit in a payload cannot be detected.
+Each chunk carries a checksum of its messages, which is always verified; a chunk that fails, or that the end
+of the file cuts off, is reported and left out. In a file that was written without checksums, a flipped bit in
+a payload cannot be detected.
 """
 
 from __future__ import annotations
@@ -32,7 +31,6 @@ from amhe_cli.logs.containers.mcap_index import (
     span_ns,
     stream,
     unfolded,
-    unfolded_start,
 )
 from amhe_cli.logs.containers.raw import Batch, Connection, DefinitionFormat, messages, normal_type
 
@@ -162,8 +160,6 @@ class McapFile(McapMessages):
                 yield from self.records(self._data, piece.start, piece.stop, topics)
             elif (data := self._unfold(piece, unfolder)) is not None:
                 yield from self._chunk(data, indexed(self._data, piece, len(data)), topics)
-        if found.cut is not None and (data := self._unfold_start(found.cut)):
-            yield from self.records(data, 0, len(data), topics)
         self._note_metadata(found)
         self._conclude(found)
 
@@ -221,16 +217,6 @@ class McapFile(McapMessages):
             )
             self.problems.append(f"a chunk at byte {chunk.start - 9}{when} is lost: {error}")
             return None
-
-    def _unfold_start(self, position: int) -> bytes | None:
-        """Whole records of a chunk that the end of the file cuts off, with a note; None if there are none."""
-        try:
-            data = unfolded_start(self._data, position)
-        except PARSE_ERRORS:
-            return None  # that the file is cut off is noted already
-        if data:
-            self.problems.append(f"the chunk at byte {position} is used up to the cut, without its checksum")
-        return data
 
     def _chunk(
         self, data: bytes, index: NDArray[np.uint64], topics: Collection[str] | None

@@ -21,12 +21,11 @@ from mcap.opcode import Opcode
 from mcap.records import ChunkIndex, Statistics
 from numpy.typing import NDArray
 
-from amhe_cli.logs.containers.compression import Unfolder, unfold_start
+from amhe_cli.logs.containers.compression import Unfolder
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQI")
-_LOG_NS = struct.Struct("<Q")
 #: Bytes of a message before its payload, and of an index before its stamps and places.
 _STAMPED, _INDEXED = 22, 6
 _FOOTER = struct.Struct("<QQI")
@@ -56,7 +55,6 @@ class Contents:
         summarised: Whether there is an intact summary.
         intact: False if a checksum over the whole data section is wrong.
         problems: What is damaged, in words.
-        cut: Start of the record within which the file ends, if it does.
     """
 
     pieces: list[Piece] = field(default_factory=list)
@@ -68,7 +66,6 @@ class Contents:
     summarised: bool = False
     intact: bool = True
     problems: list[str] = field(default_factory=list)
-    cut: int | None = None
 
 
 def contents(data: mmap) -> Contents:
@@ -81,7 +78,6 @@ def contents(data: mmap) -> Contents:
     indexed = _summary(data, found)
     chunks: dict[int, Piece] = {}
     loose: list[Piece] = []
-    stop = len(MAGIC)
     try:
         for opcode, start, stop in _split(data, len(MAGIC), len(data)):
             if opcode == Opcode.CHUNK:
@@ -97,7 +93,6 @@ def contents(data: mmap) -> Contents:
                 break
     except PARSE_ERRORS as error:
         found.problems.append(f"the file is damaged or cut off: {error}")
-        found.cut = None if found.closed else stop
     for offset, stop in indexed.items():
         chunks.setdefault(offset, Piece(offset + 9, stop, True))
     if chunks and not found.whole:
@@ -121,37 +116,6 @@ def unfolded(data: mmap | bytes, chunk: Piece, unfolder: Unfolder) -> bytes:
     if head.crc and zlib.crc32(records) != head.crc:
         raise ValueError("its checksum is wrong")
     return records
-
-
-def unfolded_start(data: mmap, position: int) -> bytes:
-    """Whole records of a chunk before the end of the file cuts it off.
-
-    Its checksum cannot be verified. Recovery therefore needs a consistent header, and ends at the first
-    record whose stamps contradict it.
-
-    Raises:
-        ValueError: If there is no such chunk, or it is damaged.
-    """
-    opcode, length = RECORD.unpack_from(data, position)
-    if opcode != Opcode.CHUNK:
-        raise ValueError("it is no chunk")
-    chunk = Piece(position + 9, position + 9 + length, True)
-    head, span = _head(data, chunk), span_ns(data, chunk)
-    if span is None or head.stop != chunk.stop:
-        raise ValueError("its header is damaged")
-    # Where a machine lost power, its last pages may be there in length but not in content.
-    records = unfold_start(head.kind, data[head.at :].rstrip(b"\0"), head.size)
-    at = 0
-    while at + 9 <= len(records):
-        opcode, size = RECORD.unpack_from(records, at)
-        if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE) or at + 9 + size > len(records):
-            break
-        if opcode == Opcode.MESSAGE and not (
-            size >= _STAMPED and span[0] <= _LOG_NS.unpack_from(records, at + 15)[0] <= span[1]
-        ):
-            break
-        at += 9 + size
-    return records[:at]
 
 
 def indexed(data: mmap, chunk: Piece, size: int) -> NDArray[np.uint64]:

@@ -62,6 +62,11 @@ class Batch:
     starts: IntArray
     lengths: IntArray
 
+    def payloads(self) -> Iterator[bytes]:
+        """The bytes of each message."""
+        for start, length in zip(self.starts.tolist(), self.lengths.tolist(), strict=True):
+            yield self.buffer[start : start + length].tobytes()
+
 
 class LogFile(Protocol):
     """One file of a log.

@@ -130,6 +130,8 @@ class SignalDecoder:
         self._names: tuple[str, ...] = signal.names
         self._columns: dict[str, tuple[str, ...]] = {}
         self._seen: set[str] = set()
+        self._met: set[str] = set()
+        self._last: Layout | None = None
         self._parts = self._fresh()
         self._recipes: dict[int, tuple[Layout, list[_Columns]]] = {}
         self.count = self._held = 0
@@ -254,9 +256,10 @@ class SignalDecoder:
         if self.info.names is not None:
             return self._by_name(layout, found[0], quantity)
         leaves = [leaf for leaves in found for leaf in leaves]
-        if not all(found) and quantity in self._signal.fields:
-            missing = self.info.fields[quantity][[bool(f) for f in found].index(False)]
-            raise LogError(f"{self._topic}: {one_of('number field', missing, layout.leaves)}")
+        if quantity in self._signal.fields:
+            self._met |= {path for path in self.info.fields[quantity] if layout.columns(path)}
+            self._last = layout
+            leaves = [leaf for leaves in found for leaf in leaves or [None]]
         names = self.info.columns.get(quantity, ())
         if len(names) != len(leaves):
             names = tuple(f"[{i}]" for i in range(len(leaves)))
@@ -314,15 +317,21 @@ class SignalDecoder:
 
     @property
     def lacking(self) -> str:
-        """Which joint no message has had so far, in words; '' if none."""
+        """Which joint or named field no message has had so far, in words; empty if none."""
         absent = [name for name in self._signal.names if name not in self._seen] if self.info.names else []
-        return f"{self._topic}: {one_of('joint', absent[0], self._seen)}" if absent else ""
+        if absent:
+            return f"{self._topic}: {one_of('joint', absent[0], self._seen)}"
+        paths = [path for q in self._wanted for path in self._signal.fields.get(q, ())]
+        absent = [path for path in paths if path not in self._met] if self._last else []
+        known = self._last.leaves if self._last else ()
+        return f"{self._topic}: {one_of('number field', absent[0], known)}" if absent else ""
 
     def forget(self) -> None:
         """Let go of the layouts and names that were seen; columns keep their order."""
         self._recipes.clear()
         self._seen.clear()
-        self._held = 0
+        self._met.clear()
+        self._last, self._held = None, 0
 
     def _fresh(self) -> _Parts:
         return _Parts(values={quantity: _Growing(np.empty((0, 0))) for quantity in self._wanted})

@@ -61,28 +61,6 @@ class Leaf:
         return np.ndarray(len(rows), self.dtype, rows, self.offset, (rows.strides[0],))
 
 
-@dataclass(frozen=True, slots=True)
-class Constant(Leaf):
-    """A number that the messages leave out."""
-
-    value: float
-
-    def read(self, rows: NDArray[np.uint8]) -> NDArray:
-        """The number, for every message."""
-        return np.full(len(rows), self.value)
-
-
-@dataclass(frozen=True, slots=True)
-class Several(Leaf):
-    """An array of numbers from several places."""
-
-    parts: tuple[Leaf, ...]
-
-    def column(self, index: int) -> Leaf:
-        """Element `index`."""
-        return self.parts[index]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Layout:
     """The layout that a group of messages shares.

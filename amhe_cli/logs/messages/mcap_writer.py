@@ -10,11 +10,15 @@ from typing import Any, Self
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
+from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from amhe_cli import __version__
 from amhe_cli.core.files import whole
 from amhe_cli.logs.containers.raw import Batch, Connection
+
+#: What a message holds: its fields, nested; or, in their order, all of them.
+Content = dict[str, Any] | Sequence[Any] | np.ndarray
 
 
 class McapWriter:
@@ -31,6 +35,7 @@ class McapWriter:
         self._store = get_typestore(Stores.LATEST)
         self._channels: dict[str, tuple[int, str]] = {}
         self._schemas: dict[str, int] = {}
+        self._makers: dict[str, Callable[[Content], Any]] = {}
         self._sequence: dict[int, int] = {}
         self._copied: dict[Connection, int] = {}
         self._full = False
@@ -62,33 +67,59 @@ class McapWriter:
             self._store.get_msgdef(msgtype)
             self._schema(msgtype)
 
-    def message(self, msgtype: str, **fields: Any) -> Any:
-        """An instance of a message type."""
-        return self._store.types[msgtype](**fields)
-
-    def time(self, stamp_ns: int) -> Any:
-        """A builtin_interfaces/Time of a stamp [ns]."""
-        seconds, nanoseconds = divmod(int(stamp_ns), 10**9)
-        return self.message("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
-
-    def write(self, topic: str, msgtype: str, stamp_ns: int, message: Any) -> None:
+    def write(self, topic: str, msgtype: str, stamp_ns: int, content: dict[str, Any]) -> None:
         """Append a message; its header, where it has one, gets the same stamp.
 
         Args:
             topic: Name of the topic, for instance '/joint_states'.
             msgtype: Type such as 'sensor_msgs/msg/JointState'; one topic has one type.
             stamp_ns: Time at which it was measured or sent [ns].
-            message: An instance made by one of the methods here.
+            content: Its fields, such as {"header": {"frame_id": "world"}, "point": (0, 0, 1)}: messages in it
+                as mappings, or as their fields in order. What is left out is zero or empty.
         """
-        if hasattr(message, "header"):
-            message.header.stamp = self.time(stamp_ns)
         channel, known = self._channels.get(topic) or self._channel(topic, msgtype)
         if known != msgtype:
             raise ValueError(f"topic {topic!r} carries {known}, not {msgtype}")
+        if "header" in [name for name, _ in self._store.fielddefs[msgtype][1]]:
+            content = {**content, "header": {**content.get("header", {}), "stamp": divmod(stamp_ns, 10**9)}}
+        message = self._maker(msgtype)(content)
         data = bytes(self._store.serialize_cdr(message, msgtype))
         self._add(channel, stamp_ns, data, stamp_ns)
         for send in self.also:
             send(topic, msgtype, data)
+
+    def _maker(self, msgtype: str) -> Callable[[Content], Any]:
+        """Makes an instance of a message type of its content."""
+        if msgtype not in self._makers:
+            fields = {name: self._field(*form) for name, form in self._store.fielddefs[msgtype][1]}
+            kind = self._store.types[msgtype]
+
+            def make(content: Content) -> Any:
+                given = content if isinstance(content, dict) else dict(zip(fields, content, strict=True))
+                return kind(
+                    **{n: of(given[n]) if n in given else absent for n, (of, absent) in fields.items()}
+                )
+
+            self._makers[msgtype] = make
+        return self._makers[msgtype]
+
+    def _field(self, kind: int, detail: Any) -> tuple[Callable[[Any], Any], Any]:
+        """Makes a field's value of what is given; and the value where nothing is."""
+        if kind == Nodetype.NAME:
+            make = self._maker(detail)
+            return make, make({})
+        if kind == Nodetype.BASE:
+            plain = str if detail[0] == "string" else float if detail[0].startswith("float") else int
+            return plain, plain()
+        (inner, name), size = detail
+        if inner == Nodetype.NAME:
+            make = self._maker(name)
+            return lambda given: [make(one) for one in given], []
+        if name[0] == "string":
+            return list, []
+        dtype = _DTYPES.get(name[0], name[0])
+        empty = np.zeros(size if kind == Nodetype.ARRAY else 0, dtype)
+        return lambda given: np.array(given, dtype).reshape(-1), empty
 
     def _add(self, channel: int, log_ns: int, data: bytes, publish_ns: int) -> None:
         """Append a message; nothing once the file could not be written, for which one call raises OSError."""
@@ -120,9 +151,8 @@ class McapWriter:
                 connection.topic, connection.encoding, schema
             )
         stamps = (ns.view(np.uint64).tolist() for ns in (batch.log_ns, batch.publish_ns))
-        ends = (batch.starts + batch.lengths).tolist()
-        for log_ns, publish_ns, start, end in zip(*stamps, batch.starts.tolist(), ends, strict=True):
-            self._add(self._copied[connection], log_ns, batch.buffer[start:end].tobytes(), publish_ns)
+        for log_ns, publish_ns, data in zip(*stamps, batch.payloads(), strict=True):
+            self._add(self._copied[connection], log_ns, data, publish_ns)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a file, for instance the configuration or the model."""
@@ -139,3 +169,7 @@ class McapWriter:
             text, _ = self._store.generate_msgdef(msgtype, ros_version=2)
             self._schemas[msgtype] = self._mcap.register_schema(msgtype, "ros2msg", text.encode())
         return self._schemas[msgtype]
+
+
+#: Numbers that numpy calls otherwise.
+_DTYPES = {"byte": "uint8", "octet": "uint8", "char": "uint8"}

@@ -12,9 +12,6 @@ from amhe_cli.core.samples import Samples
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs.messages.writer import LogWriter
 
-#: Quantity -> values of one message, shape (k,).
-_Values = Mapping[str, FloatArray]
-
 
 def write_samples(
     log: LogWriter, signals: Sequence[Signal], samples: Samples, stamp: Callable[[float], int]
@@ -73,43 +70,26 @@ def _messages(
             yield time, signal, {quantity: values[row] for quantity, (_, values) in known.items()}
 
 
-def _joint_state(log: LogWriter, signal: Signal, stamp_ns: int, values: _Values) -> None:
-    log.joint_state(signal.topic, stamp_ns, signal.names, **values)
-
-
-def _odometry(log: LogWriter, signal: Signal, stamp_ns: int, values: _Values) -> None:
-    log.odometry(
-        signal.topic, stamp_ns, values.get("position", _ZERO), values.get("orientation", _UPRIGHT),
-        values.get("linear_velocity", _ZERO), values.get("angular_velocity", _ZERO),
-        child_frame=signal.child_frame or signal.name,
-    )  # fmt: skip
-
-
-def _pose(log: LogWriter, signal: Signal, stamp_ns: int, values: _Values) -> None:
-    unknown = np.zeros(4)
-    log.pose(signal.topic, stamp_ns, values.get("position", _ZERO), values.get("orientation", unknown))
-
-
-def _wrench(log: LogWriter, signal: Signal, stamp_ns: int, values: _Values) -> None:
-    log.wrench(signal.topic, stamp_ns, values.get("force", _ZERO), values.get("torque", _ZERO))
-
-
-def _imu(log: LogWriter, signal: Signal, stamp_ns: int, values: _Values) -> None:
-    rate, force = (values.get(q, _ZERO) for q in ("angular_velocity", "linear_acceleration"))
-    frame = signal.child_frame or "imu"
-    log.imu(signal.topic, stamp_ns, values.get("orientation"), rate, force, frame=frame)
-
-
-def _numbers(log: LogWriter, signal: Signal, stamp_ns: int, values: _Values) -> None:
-    log.numbers(signal.topic, stamp_ns, np.concatenate(list(values.values())))
-
-
 _ZERO, _UPRIGHT = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
-_WRITERS: Mapping[str, Callable[[LogWriter, Signal, int, _Values], None]] = {
-    "JointState": _joint_state,
-    "Odometry": _odometry,
-    "PoseStamped": _pose,
-    "WrenchStamped": _wrench,
-    "Imu": _imu,
-    "Float64MultiArray": _numbers,
-}
+_WRITERS: Mapping[str, Callable[[LogWriter, Signal, int, Mapping[str, FloatArray]], None]] = {
+    "JointState": lambda log, signal, stamp_ns, values: log.joint_state(
+        signal.topic, stamp_ns, signal.names, **values
+    ),
+    "Odometry": lambda log, signal, stamp_ns, values: log.odometry(
+        signal.topic, stamp_ns, **{"position": _ZERO, "orientation": _UPRIGHT, **values},
+        child_frame=signal.child_frame or signal.name,
+    ),
+    "PoseStamped": lambda log, signal, stamp_ns, values: log.pose(
+        signal.topic, stamp_ns, values.get("position", _ZERO), values.get("orientation", np.zeros(4))
+    ),
+    "WrenchStamped": lambda log, signal, stamp_ns, values: log.wrench(
+        signal.topic, stamp_ns, values.get("force", _ZERO), values.get("torque", _ZERO)
+    ),
+    "Imu": lambda log, signal, stamp_ns, values: log.imu(
+        signal.topic, stamp_ns, values.get("orientation"), values.get("angular_velocity", _ZERO),
+        values.get("linear_acceleration", _ZERO), frame=signal.child_frame or "imu",
+    ),
+    "Float64MultiArray": lambda log, signal, stamp_ns, values: log.numbers(
+        signal.topic, stamp_ns, np.concatenate(list(values.values()))
+    ),
+}  # fmt: skip

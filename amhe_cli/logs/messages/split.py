@@ -14,7 +14,6 @@ from amhe_cli.core.limits import beyond, limits
 from amhe_cli.logs.containers.raw import Batch, Connection
 from amhe_cli.logs.containers.table_file import ENCODING as TABLE
 from amhe_cli.logs.messages.definitions import Definitions
-from amhe_cli.logs.messages.json_rows import json_row
 from amhe_cli.logs.messages.layout import (
     Layout,
     MalformedMessageError,
@@ -24,7 +23,7 @@ from amhe_cli.logs.messages.layout import (
     walk,
 )
 from amhe_cli.logs.messages.protobuf import MessageType
-from amhe_cli.logs.messages.rows import Rows
+from amhe_cli.logs.messages.rows import Rows, json_content
 
 _Bytes = NDArray[np.uint8]
 #: Layouts remembered for each message length, the latest ones.
@@ -55,9 +54,9 @@ class Splitter:
         self._rows: Rows | None = None
         self._types: Types = {}
         if isinstance(types, MessageType):
-            self._rows = Rows(types.read)
+            self._rows = Rows(types.content)
         elif connection.encoding == "json":
-            self._rows = Rows(json_row)
+            self._rows = Rows(json_content)
         else:
             self._types = types
         self._layouts: dict[int, list[Layout]] = {}
@@ -84,12 +83,12 @@ class Splitter:
     def _parsed(self, rows: Rows, batch: Batch) -> Iterator[MessageGroup]:
         """Messages that must be parsed one by one."""
         found: dict[int, tuple[Layout, list[int], list[FloatArray]]] = {}
-        for i, (start, length) in enumerate(zip(batch.starts.tolist(), batch.lengths.tolist(), strict=True)):
+        for i, message in enumerate(batch.payloads()):
             if rows.fields > limits().fields:
                 self._damage(beyond("fields", _MANY), batch.starts.size - i)
                 break
             try:
-                layout, numbers = rows.row(batch.buffer[start : start + length].tobytes())
+                layout, numbers = rows.row(message)
             except MalformedMessageError as error:
                 self._damage(str(error), 1)
                 continue

@@ -13,6 +13,8 @@ from amhe_cli.logs.messages.mcap_writer import McapWriter
 
 #: Levels of a diagnostic_msgs/DiagnosticStatus.
 OK, WARN, ERROR = 0, 1, 2
+#: First number of a covariance that is not known.
+_UNKNOWN = (-1.0, *(8 * (0.0,)))
 
 
 class LogWriter(McapWriter):
@@ -39,15 +41,8 @@ class LogWriter(McapWriter):
         effort: ArrayLike = (),
     ) -> None:
         """Write a sensor_msgs/JointState: position [rad or m], velocity, effort [N m or N]; (n,) or ()."""
-        message = self.message(
-            "sensor_msgs/msg/JointState",
-            header=self.header(""),
-            name=list(names),
-            position=_numbers(position),
-            velocity=_numbers(velocity),
-            effort=_numbers(effort),
-        )
-        self.write(topic, "sensor_msgs/msg/JointState", stamp_ns, message)
+        numbers = {"position": position, "velocity": velocity, "effort": effort}
+        self.write(topic, "sensor_msgs/msg/JointState", stamp_ns, {"name": list(names), **numbers})
 
     def odometry(
         self,
@@ -76,28 +71,20 @@ class LogWriter(McapWriter):
         """
         turn = np.asarray(orientation, dtype=np.float64)
         linear = rotations.rotate(rotations.conjugate(turn), np.asarray(linear_velocity, dtype=np.float64))
-        geometry = "geometry_msgs/msg/"
-        twist = self.message(
-            f"{geometry}Twist", linear=self.vector(linear), angular=self.vector(angular_velocity)
-        )
-        message = self.message(
-            "nav_msgs/msg/Odometry",
-            header=self.header(frame),
-            child_frame_id=child_frame,
-            pose=self.message(
-                f"{geometry}PoseWithCovariance", pose=self.pose_of(position, turn), covariance=np.zeros(36)
-            ),
-            twist=self.message(f"{geometry}TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
-        )
-        self.write(topic, "nav_msgs/msg/Odometry", stamp_ns, message)
+        content = {
+            "header": {"frame_id": frame},
+            "child_frame_id": child_frame,
+            "pose": {"pose": (position, _xyzw(turn))},
+            "twist": {"twist": (linear, angular_velocity)},
+        }
+        self.write(topic, "nav_msgs/msg/Odometry", stamp_ns, content)
 
     def pose(
         self, topic: str, stamp_ns: int, position: ArrayLike, orientation: ArrayLike, *, frame: str = "world"
     ) -> None:
         """Write a geometry_msgs/PoseStamped: position [m] (3,), unit quaternion w, x, y, z (4,)."""
-        name = "geometry_msgs/msg/PoseStamped"
-        message = self.message(name, header=self.header(frame), pose=self.pose_of(position, orientation))
-        self.write(topic, name, stamp_ns, message)
+        content = {"header": {"frame_id": frame}, "pose": (position, _xyzw(orientation))}
+        self.write(topic, "geometry_msgs/msg/PoseStamped", stamp_ns, content)
 
     def transform(
         self,
@@ -108,18 +95,12 @@ class LogWriter(McapWriter):
         frame: str = "world",
     ) -> None:
         """Write a tf2_msgs/TFMessage: child frame -> position [m] (3,), unit quaternion w, x, y, z (4,)."""
-        transforms = []
-        for child, (position, orientation) in poses.items():
-            transform = self.message(
-                "geometry_msgs/msg/Transform",
-                translation=self.vector(position),
-                rotation=self.quaternion(orientation),
-            )
-            name = "geometry_msgs/msg/TransformStamped"
-            head = self.header(frame, stamp_ns)
-            transforms.append(self.message(name, header=head, child_frame_id=child, transform=transform))
-        name = "tf2_msgs/msg/TFMessage"
-        self.write(topic, name, stamp_ns, self.message(name, transforms=transforms))
+        header = {"stamp": divmod(stamp_ns, 10**9), "frame_id": frame}
+        transforms = [
+            {"header": header, "child_frame_id": child, "transform": (position, _xyzw(orientation))}
+            for child, (position, orientation) in poses.items()
+        ]
+        self.write(topic, "tf2_msgs/msg/TFMessage", stamp_ns, {"transforms": transforms})
 
     def imu(
         self,
@@ -132,35 +113,28 @@ class LogWriter(McapWriter):
         frame: str = "imu",
     ) -> None:
         """Write a sensor_msgs/Imu; orientation None is marked as unknown, as ROS wants it."""
-        unknown = np.zeros(9)
-        unknown[0] = -1.0
-        message = self.message(
-            "sensor_msgs/msg/Imu",
-            header=self.header(frame),
-            orientation=self.quaternion((1.0, 0.0, 0.0, 0.0) if orientation is None else orientation),
-            orientation_covariance=unknown if orientation is None else np.zeros(9),
-            angular_velocity=self.vector(angular_velocity),
-            angular_velocity_covariance=np.zeros(9),
-            linear_acceleration=self.vector(linear_acceleration),
-            linear_acceleration_covariance=np.zeros(9),
-        )
-        self.write(topic, "sensor_msgs/msg/Imu", stamp_ns, message)
+        content: dict[str, Any] = {
+            "header": {"frame_id": frame},
+            "orientation": _xyzw((1.0, 0.0, 0.0, 0.0) if orientation is None else orientation),
+            "angular_velocity": angular_velocity,
+            "linear_acceleration": linear_acceleration,
+        }
+        if orientation is None:
+            content["orientation_covariance"] = _UNKNOWN
+        self.write(topic, "sensor_msgs/msg/Imu", stamp_ns, content)
 
     def wrench(
         self, topic: str, stamp_ns: int, force: ArrayLike, torque: ArrayLike, *, frame: str = "sensor"
     ) -> None:
         """Write a geometry_msgs/WrenchStamped: force [N] (3,), torque [N m] (3,)."""
-        wrench = self.message(
-            "geometry_msgs/msg/Wrench", force=self.vector(force), torque=self.vector(torque)
-        )
-        name = "geometry_msgs/msg/WrenchStamped"
-        self.write(topic, name, stamp_ns, self.message(name, header=self.header(frame), wrench=wrench))
+        content = {"header": {"frame_id": frame}, "wrench": (force, torque)}
+        self.write(topic, "geometry_msgs/msg/WrenchStamped", stamp_ns, content)
 
     def numbers(self, topic: str, stamp_ns: int, values: ArrayLike) -> None:
         """Write a std_msgs/Float64MultiArray of any numbers, shape (n,)."""
-        name = "std_msgs/msg/Float64MultiArray"
-        layout = self.message("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
-        self.write(topic, name, stamp_ns, self.message(name, layout=layout, data=_numbers(values)))
+        self.write(
+            topic, "std_msgs/msg/Float64MultiArray", stamp_ns, {"data": np.asarray(values).reshape(-1)}
+        )
 
     def diagnostics(
         self, stamp_ns: int, level: int, text: str, values: Mapping[str, str], of: str = "controller"
@@ -174,42 +148,11 @@ class LogWriter(McapWriter):
             values: Numbers that go with it, by name.
             of: Name of the component.
         """
-        package = "diagnostic_msgs/msg/"
-        status = self.message(
-            f"{package}DiagnosticStatus",
-            level=level,
-            name=f"amhe: {of}",
-            message=text,
-            hardware_id="",
-            values=[
-                self.message(f"{package}KeyValue", key=key, value=value) for key, value in values.items()
-            ],
-        )
-        name = f"{package}DiagnosticArray"
-        message = self.message(name, header=self.header(""), status=[status])
-        self.write("/diagnostics", name, stamp_ns, message)
-
-    # -- their parts ----------------------------------------------------------------------------------
-
-    def header(self, frame: str, stamp_ns: int = 0) -> Any:
-        """A std_msgs/Header in `frame`; `write` sets the stamp of a message's own."""
-        return self.message("std_msgs/msg/Header", stamp=self.time(stamp_ns), frame_id=frame)
-
-    def vector(self, values: ArrayLike, name: str = "Vector3") -> Any:
-        """A message of geometry_msgs with x, y, z: Vector3 or Point; values of shape (3,)."""
-        x, y, z = _numbers(values).tolist()
-        return self.message(f"geometry_msgs/msg/{name}", x=x, y=y, z=z)
-
-    def quaternion(self, wxyz: ArrayLike) -> Any:
-        """A geometry_msgs/Quaternion of w, x, y, z."""
-        w, x, y, z = _numbers(wxyz).tolist()
-        return self.message("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
-
-    def pose_of(self, position: ArrayLike, orientation: ArrayLike) -> Any:
-        """A geometry_msgs/Pose of a position (3,) and a quaternion w, x, y, z."""
-        point, turn = self.vector(position, "Point"), self.quaternion(orientation)
-        return self.message("geometry_msgs/msg/Pose", position=point, orientation=turn)
+        status = {"level": level, "name": f"amhe: {of}", "message": text, "values": list(values.items())}
+        self.write("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", stamp_ns, {"status": [status]})
 
 
-def _numbers(values: ArrayLike) -> np.ndarray:
-    return np.array(values, dtype=np.float64).reshape(-1)
+def _xyzw(orientation: ArrayLike) -> tuple[float, ...]:
+    """A quaternion w, x, y, z as ROS has it."""
+    w, x, y, z = np.asarray(orientation).tolist()
+    return x, y, z, w

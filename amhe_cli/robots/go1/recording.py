@@ -77,19 +77,6 @@ def _write_floor_pose(log: LogWriter, topic: str, stamp: int, place: FloatArray,
 
 def _write_path(log: LogWriter, stamp: int, points: FloatArray) -> None:
     """A nav_msgs/Path over the floor through points (n, 2) [m]."""
-    name = "geometry_msgs/msg/"
-    level = log.message(f"{name}Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
-    poses = [
-        log.message(
-            f"{name}PoseStamped",
-            header=log.header("world"),
-            pose=log.message(
-                f"{name}Pose",
-                position=log.message(f"{name}Point", x=float(x), y=float(y), z=0.0),
-                orientation=level,
-            ),
-        )
-        for x, y in points
-    ]
-    message = log.message("nav_msgs/msg/Path", header=log.header("world"), poses=poses)
-    log.write("/amhe/path", "nav_msgs/msg/Path", stamp, message)
+    header, level = {"frame_id": "world"}, (0.0, 0.0, 0.0, 1.0)
+    poses = [{"header": header, "pose": ((x, y, 0.0), level)} for x, y in points]
+    log.write("/amhe/path", "nav_msgs/msg/Path", stamp, {"header": header, "poses": poses})
