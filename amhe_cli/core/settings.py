@@ -137,10 +137,6 @@ class AssumedSettings(SettingsGroup):
         return dict.fromkeys(cls.model_fields, 0.0) if given == 0 and given is not False else given
 
 
-#: Settings of the identification that have no successor.
-_GONE = {"bootstrap": "has no use, and is left out", "draws": "has no use, and is left out"}
-
-
 class IdentifySettings(SettingsGroup):
     """SPI: offline identification over all clips."""
 
@@ -172,15 +168,6 @@ class IdentifySettings(SettingsGroup):
     assumed value too: `load_friction`, `stribeck` and `spring`. Joints of direct drives have none."""
     profile_points: Annotated[int, Field(ge=0)] = 11
     """Points of each parameter's cost profile; 0 draws none."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _renamed(cls, given: Any) -> Any:
-        """Say what has replaced an old name."""
-        for old, new in {"rulers": "is called `assumed`", **_GONE}.items():
-            if isinstance(given, dict) and old in given:
-                raise ValueError(f"`{old}` {new} now")
-        return given
 
 
 #: Settings of the online estimator that act with one of its methods only.

@@ -91,8 +91,10 @@ def test_cut_at_every_percent(
             assert caplog.records, f"{percent} %: nothing was said"
             assert not any(wrong_samples(trajectory).values()), f"{percent} %"
         steps.append(trajectory.steps if trajectory else 0)
-    assert steps[95] > STEPS // 2, "most of a nearly complete log is recovered"
-    if name != "db3":  # its pages do not lie in the order of time
+    if name == "db3":  # sqlite would take what is missing for zeros
+        assert not any(steps)
+    else:
+        assert steps[95] > STEPS // 2, "most of a nearly complete log is recovered"
         assert steps[50] > STEPS // 4
 
 

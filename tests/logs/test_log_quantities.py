@@ -15,6 +15,7 @@ from mcap.writer import Writer
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs import read_signals
+from amhe_cli.logs.messages.decode import SignalSamples
 from amhe_cli.logs.physics import twist_looks_global
 from tests.logs.log_makers import (
     ARRAY,
@@ -435,6 +436,8 @@ def test_idl_definitions(tmp_path: Path) -> None:
 
 def test_a_twist_of_a_few_milliseconds_is_judged_too() -> None:
     times, speed = np.linspace(0.0, 0.014, 15), np.tile([1.0, 0.0, 0.0], (15, 1))
+    none = np.zeros(15, dtype=np.int64)
     values = {"position": times[:, None] * speed, "linear_velocity": speed}
-    assert twist_looks_global(times, values, -speed)
-    assert not twist_looks_global(times, values, speed)
+    samples = SignalSamples(none, none, none, none, values, {}, False, twist_in_child=True)
+    assert twist_looks_global(times, samples, -speed)
+    assert not twist_looks_global(times, samples, speed)

@@ -67,9 +67,6 @@ class BagFile:
             try:
                 record = _record(self._data, position)
             except ValueError as error:
-                cut = self._cut_chunk(position)
-                if cut is not None:
-                    yield from self._emit(*cut, topics)
                 later = [chunk for chunk in chunks if chunk > position]
                 self.problems.append(f"the record at byte {position} is lost: {error}")
                 position = min(later, default=len(self._data))
@@ -157,17 +154,6 @@ class BagFile:
             return b"", []
         return data, self._checked(self._messages(data), index)
 
-    def _cut_chunk(self, position: int) -> tuple[bytes, list[_Row]] | None:
-        """Messages of a plain chunk that the end of the file cuts off."""
-        try:
-            record = _record(self._data, position, whole=False)
-            if record.op != _CHUNK or record.fields[b"compression"] != b"none":
-                return None
-        except (ValueError, KeyError):
-            return None
-        data = self._data[record.start :]
-        return data, self._messages(data)
-
     def _messages(self, data: bytes) -> list[_Row]:
         rows: list[_Row] = []
         position = 0
@@ -225,11 +211,11 @@ class BagFile:
                 yield Batch(connection, stamps(times), stamps(times), buffer, starts, lengths)
 
 
-def _record(data: bytes | mmap.mmap, position: int, whole: bool = True) -> _Record:
+def _record(data: bytes | mmap.mmap, position: int) -> _Record:
     """Parse the record at `position`.
 
     Raises:
-        ValueError: If it is damaged, or (where `whole`) does not end within the data.
+        ValueError: If it is damaged, or does not end within the data.
     """
     if position + 8 > len(data):
         raise ValueError("it is cut off")
@@ -239,7 +225,7 @@ def _record(data: bytes | mmap.mmap, position: int, whole: bool = True) -> _Reco
     fields = _fields(bytes(data[position + 4 : header_end]))
     start = header_end + 4
     stop = start + _U32.unpack_from(data, header_end)[0]
-    if whole and stop > len(data):
+    if stop > len(data):
         raise ValueError("it is cut off")
     op = fields.get(b"op", b"")
     if len(op) != 1 or not _MESSAGE <= op[0] <= _CONNECTION:

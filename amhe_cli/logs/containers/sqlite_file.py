@@ -6,14 +6,10 @@ out, but a flipped bit inside a message's payload cannot be detected.
 
 from __future__ import annotations
 
-import os
 import re
 import sqlite3
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from shutil import copyfileobj
-from tempfile import NamedTemporaryFile
-from typing import IO
 from urllib.parse import quote
 
 from amhe_cli.core.limits import limits
@@ -37,16 +33,18 @@ class SqliteFile:
         self.problems: list[str] = []
         self.metadata: dict[str, str] = {}
         self._size = path.stat().st_size
-        self._completed = _completed(path)
-        if self._completed is not None:
-            self.problems.append("the file is cut off (copy incomplete)")
-            path = Path(self._completed.name)
+        with path.open("rb") as file:
+            head = file.read(100)
+        page = int.from_bytes(head[16:18], "big")
+        # sqlite would read missing bytes as zeros, and those pass as measurements.
+        if len(head) < 100 or self._size < (65536 if page == 1 else page) * int.from_bytes(
+            head[28:32], "big"
+        ):
+            raise ValueError("the database is cut off: copy it again")
         # A journal beside the file means that the recorder crashed; sqlite then needs to see it.
         journal = path.with_name(path.name + "-wal")
         mode = "mode=ro" if journal.exists() and journal.stat().st_size else "immutable=1"
         self._database = sqlite3.connect(f"file:{quote(str(path.absolute()))}?{mode}", uri=True)
-        # Without this, sqlite refuses a file that is shorter than its header says.
-        self._database.execute("PRAGMA writable_schema=ON")
         self._database.execute("PRAGMA cell_size_check=ON")
         self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, limits().piece)
         self._steps = (_STEPS + _STEPS_A_BYTE * self._size) // _STRIDE
@@ -137,8 +135,8 @@ class SqliteFile:
 
     def _suspect_rows(self) -> set[int]:
         """Rows whose stamp contradicts the index."""
-        if self._size > _CHECKED or self._completed is not None:
-            return set()  # a check as long as the reading itself, or one that finds only what is known
+        if self._size > _CHECKED:
+            return set()  # a check as long as the reading itself
         try:
             report = [line for (line,) in self._database.execute("PRAGMA integrity_check(1000)")]
         except sqlite3.DatabaseError as error:
@@ -152,30 +150,3 @@ class SqliteFile:
 def _batch(connection: Connection, rows: list[tuple[int, bytes]]) -> Batch:
     times, payloads = zip(*rows, strict=True)
     return batch_of(connection, times, times, payloads)
-
-
-def _completed(path: Path) -> IO[bytes] | None:
-    """A copy of a cut-off file at its full length; None if the file is not cut off.
-
-    sqlite would read the missing bytes as zeros, and those pass as measurements. Pages of 0xFF are no valid
-    pages, and as payload they are NaN.
-    """
-    with path.open("rb") as file:
-        head = file.read(100)
-        page = int.from_bytes(head[16:18], "big")
-        page = 65536 if page == 1 else page
-        missing = page * int.from_bytes(head[28:32], "big") - path.stat().st_size
-        if len(head) == 100 and missing <= 0:
-            return None
-        if len(head) < 100 or missing > limits().piece:
-            raise ValueError("the database is cut off, and too much of it is missing")
-        file.seek(0)
-        copy = NamedTemporaryFile(prefix="amhe-", suffix=".db3")  # noqa: SIM115 (lives as long as the reader)
-        copyfileobj(file, copy)
-        copy.truncate(path.stat().st_size // page * page)
-        copy.seek(0, os.SEEK_END)
-        missing += path.stat().st_size % page
-        for start in range(0, missing, 2**20):
-            copy.write(b"\xff" * min(2**20, missing - start))
-        copy.flush()
-    return copy

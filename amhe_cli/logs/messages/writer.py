@@ -2,22 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
 
 import numpy as np
+from mcap.writer import CompressionType, Writer
 from numpy.typing import ArrayLike
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from amhe_cli import __version__
 from amhe_cli.core import rotations
-from amhe_cli.logs.messages.mcap_writer import McapWriter
+from amhe_cli.core.files import whole
+from amhe_cli.logs.containers.raw import Batch, Connection
 
 #: Levels of a diagnostic_msgs/DiagnosticStatus.
 OK, WARN, ERROR = 0, 1, 2
 #: First number of a covariance that is not known.
 _UNKNOWN = (-1.0, *(8 * (0.0,)))
+#: Numbers that numpy calls otherwise.
+_DTYPES = {"byte": "uint8", "octet": "uint8", "char": "uint8"}
+#: What a message holds: its fields, nested; or, in their order, all of them.
+Content = dict[str, Any] | Sequence[Any] | np.ndarray
 
 
-class LogWriter(McapWriter):
+class LogWriter:
     """A log in the making, with methods for the usual messages; use it as a context manager.
 
     The file appears under its name when the block ends, whole and with checksums over every byte. It is
@@ -30,6 +42,34 @@ class LogWriter(McapWriter):
         metadata: Metadata of the log. `system` is the name of the system that commands then take;
             `truth`, `seed` and any other text is shown and kept.
     """
+
+    def __init__(self, path: str | Path, metadata: Mapping[str, str] | None = None) -> None:
+        self.path = Path(path)
+        self._metadata = dict(metadata or {})
+        self._store = get_typestore(Stores.LATEST)
+        self._channels: dict[str, tuple[int, str]] = {}
+        self._schemas: dict[str, int] = {}
+        self._makers: dict[str, Callable[[Content], Any]] = {}
+        self._sequence: dict[int, int] = {}
+        self._copied: dict[Connection, int] = {}
+        self._full = False
+        #: Called with topic, type and bytes of each message that `write` appends, to send it on.
+        self.also: Sequence[Callable[[str, str, bytes], None]] = ()
+
+    def __enter__(self) -> Self:
+        self._file = ExitStack()
+        file = self._file.enter_context(whole(self.path, keep=True))
+        self._mcap = Writer(file, compression=CompressionType.ZSTD, enable_data_crcs=True)  # type: ignore[arg-type]
+        self._mcap.start(profile="ros2", library=f"amhe {__version__}")
+        self._mcap.add_metadata("amhe", self._metadata)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if not self._full:
+            with self._file:
+                self._mcap.finish()
 
     def joint_state(
         self,
@@ -150,6 +190,121 @@ class LogWriter(McapWriter):
         """
         status = {"level": level, "name": f"amhe: {of}", "message": text, "values": list(values.items())}
         self.write("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", stamp_ns, {"status": [status]})
+
+    # -- messages of any type --------------------------------------------------------------------------
+
+    def define(self, msgtype: str, definition: str) -> None:
+        """Define a message type that ROS does not have; `definition` is the text of its .msg file."""
+        self._store.register(get_types_from_msg(definition, msgtype))
+
+    def prepare(self, msgtypes: Iterable[str]) -> None:
+        """Prepare the serialisers now, so that the first message of each type is not slow."""
+        for msgtype in msgtypes:
+            self._store.get_msgdef(msgtype)
+            self._schema(msgtype)
+
+    def write(self, topic: str, msgtype: str, stamp_ns: int, content: dict[str, Any]) -> None:
+        """Append a message; its header, where it has one, gets the same stamp.
+
+        Args:
+            topic: Name of the topic, for instance '/joint_states'.
+            msgtype: Type such as 'sensor_msgs/msg/JointState'; one topic has one type.
+            stamp_ns: Time at which it was measured or sent [ns].
+            content: Its fields, such as {"header": {"frame_id": "world"}, "point": (0, 0, 1)}: messages in it
+                as mappings, or as their fields in order. What is left out is zero or empty.
+        """
+        channel, known = self._channels.get(topic) or self._channel(topic, msgtype)
+        if known != msgtype:
+            raise ValueError(f"topic {topic!r} carries {known}, not {msgtype}")
+        if "header" in [name for name, _ in self._store.fielddefs[msgtype][1]]:
+            content = {**content, "header": {**content.get("header", {}), "stamp": divmod(stamp_ns, 10**9)}}
+        message = self._maker(msgtype)(content)
+        data = bytes(self._store.serialize_cdr(message, msgtype))
+        self._add(channel, stamp_ns, data, stamp_ns)
+        for send in self.also:
+            send(topic, msgtype, data)
+
+    def _maker(self, msgtype: str) -> Callable[[Content], Any]:
+        """Makes an instance of a message type of its content."""
+        if msgtype not in self._makers:
+            fields = {name: self._field(*form) for name, form in self._store.fielddefs[msgtype][1]}
+            kind = self._store.types[msgtype]
+
+            def make(content: Content) -> Any:
+                given = content if isinstance(content, dict) else dict(zip(fields, content, strict=True))
+                return kind(
+                    **{n: of(given[n]) if n in given else absent for n, (of, absent) in fields.items()}
+                )
+
+            self._makers[msgtype] = make
+        return self._makers[msgtype]
+
+    def _field(self, kind: int, detail: Any) -> tuple[Callable[[Any], Any], Any]:
+        """Makes a field's value of what is given; and the value where nothing is."""
+        if kind == Nodetype.NAME:
+            make = self._maker(detail)
+            return make, make({})
+        if kind == Nodetype.BASE:
+            plain = str if detail[0] == "string" else float if detail[0].startswith("float") else int
+            return plain, plain()
+        (inner, name), size = detail
+        if inner == Nodetype.NAME:
+            make = self._maker(name)
+            return lambda given: [make(one) for one in given], []
+        if name[0] == "string":
+            return list, []
+        dtype = _DTYPES.get(name[0], name[0])
+        empty = np.zeros(size if kind == Nodetype.ARRAY else 0, dtype)
+        return lambda given: np.array(given, dtype).reshape(-1), empty
+
+    def _add(self, channel: int, log_ns: int, data: bytes, publish_ns: int) -> None:
+        """Append a message; nothing once the file could not be written, for which one call raises OSError."""
+        if self._full:
+            return
+        self._sequence[channel] = self._sequence.get(channel, -1) + 1
+        with self._keeping():
+            self._mcap.add_message(channel, log_ns, data, publish_ns, self._sequence[channel])
+
+    @contextmanager
+    def _keeping(self) -> Iterator[None]:
+        """Close the file where it cannot be written any more, and keep what was written."""
+        try:
+            yield
+        except OSError:
+            self._full = True
+            with self._file:
+                raise
+
+    def copy(self, batch: Batch) -> None:
+        """Append messages as they are, in the encoding that they came in."""
+        connection = batch.connection
+        if connection not in self._copied:
+            binary = connection.encoding == "protobuf"
+            kind = connection.definition_format or ("protobuf" if binary else "jsonschema")
+            text = connection.definition.encode("latin-1" if binary else "utf-8")
+            schema = self._mcap.register_schema(connection.type, kind, text)
+            self._copied[connection] = self._mcap.register_channel(
+                connection.topic, connection.encoding, schema
+            )
+        stamps = (ns.view(np.uint64).tolist() for ns in (batch.log_ns, batch.publish_ns))
+        for log_ns, publish_ns, data in zip(*stamps, batch.payloads(), strict=True):
+            self._add(self._copied[connection], log_ns, data, publish_ns)
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """Attach a file, for instance the configuration or the model."""
+        with self._keeping():
+            self._mcap.add_attachment(0, 0, name, media_type, data)
+
+    def _channel(self, topic: str, msgtype: str) -> tuple[int, str]:
+        channel = self._mcap.register_channel(topic, "cdr", self._schema(msgtype))
+        self._channels[topic] = channel, msgtype
+        return self._channels[topic]
+
+    def _schema(self, msgtype: str) -> int:
+        if msgtype not in self._schemas:
+            text, _ = self._store.generate_msgdef(msgtype, ros_version=2)
+            self._schemas[msgtype] = self._mcap.register_schema(msgtype, "ros2msg", text.encode())
+        return self._schemas[msgtype]
 
 
 def _xyzw(orientation: ArrayLike) -> tuple[float, ...]:
