@@ -5,20 +5,28 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Collection, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
+from threading import Thread
 
 import numpy as np
 
 from amhe_cli.core.belief import Belief
-from amhe_cli.core.errors import ConfigError, EstimationError, one_of
+from amhe_cli.core.errors import AmheError, ConfigError, EstimationError, one_of
+from amhe_cli.core.log import Window
+from amhe_cli.core.samples import Samples
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.engine.open import open_engine
+from amhe_cli.estimation.explain.first_look import first_look
+from amhe_cli.estimation.online.buffer import Buffer
 from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon
 from amhe_cli.estimation.online.tracker import Tracker
 from amhe_cli.estimation.online.workers import Trouble, Worker
 from amhe_cli.logs.live.messages import LiveSource
 from amhe_cli.system.system import System
 
+#: So much of the first samples is looked at for a wrong sign, order or unit [s].
+_LOOKED_AT = 5.0
 #: After the end of a source, its last estimate is waited for so long [s].
 _LAST = 2.0
 
@@ -57,6 +65,7 @@ def watch(system: System, source: LiveSource, worker: Worker) -> Iterator[Estima
             raise EstimationError(getattr(trouble, "text", "the estimator does not start"))
         time.sleep(0.01)
     tracker, epoch, end = Tracker(system, worker), source.epoch, np.inf
+    look = _FirstLook(system)
     while time.monotonic() < end and not (source.over and worker.ready):
         samples = source.wait()
         if source.epoch != epoch:  # its clock was set back: samples of before and after do not mix
@@ -65,10 +74,42 @@ def watch(system: System, source: LiveSource, worker: Worker) -> Iterator[Estima
             now = float(np.floor(source.now / system.dt + 1e-6)) * system.dt  # in phase with the samples
             for news in worker.poll(now) if source.over else tracker.feed(samples, now):
                 yield news.text if isinstance(news, Trouble) else news
+            yield from look.remarks(samples, now)
         yield from source.events()
         yield None
         end = min(end, time.monotonic() + _LAST) if source.over else end
     yield from (news for news in worker.poll(source.now + 1.0) if isinstance(news, Estimate))
+    yield from look.rest()
+
+
+class _FirstLook:
+    """Says what is plainly wrong with the first samples, such as a sign; a thread looks, and nobody waits."""
+
+    def __init__(self, system: System) -> None:
+        self._system = system
+        self._kept = Buffer(system.signals, _LOOKED_AT, system.dt, system.settings.logs.max_gap)
+        self._thread: Thread | None = None
+        self._found: list[str] = []
+
+    def remarks(self, samples: Samples, now: float) -> list[str]:
+        """What has been found since the last call, with the next samples up to a time [s]."""
+        if self._thread is None:
+            self._kept.append(samples)
+            if (window := self._kept.window(now)) is not None:
+                self._thread = Thread(target=self._look, args=(window,), daemon=True)
+                self._thread.start()
+        found, self._found = self._found, []
+        return found
+
+    def rest(self) -> list[str]:
+        """What a look that is under way finds."""
+        if self._thread is not None:
+            self._thread.join(_LAST)
+        return self._found
+
+    def _look(self, window: Window) -> None:
+        with suppress(AmheError):  # too little of a motion, say: there is nothing to be said then
+            self._found = [*first_look(self._system, window.log, (), np.random.default_rng(0))]
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -49,6 +50,13 @@ class Quick:
 
     def close(self) -> None:
         self.inner.close()
+
+
+class Idle(Quick):
+    """An estimator that has nothing to say."""
+
+    def submit(self, window, at: float) -> None:
+        pass
 
 
 @pytest.mark.slow
@@ -145,3 +153,14 @@ def test_an_alarm_holds_once_the_whole_interval_is_beyond_its_limit(pendulum: Sy
 def test_a_rule_that_is_none_is_refused(pendulum: System, rule: str, said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         Alarm.parsed(rule, pendulum.space.names)
+
+
+@pytest.mark.medium
+def test_a_wrong_sign_is_said_at_the_start(pendulum, pendulum_log, monkeypatch) -> None:
+    clock = iter(np.arange(0.0, 1000.0, 0.005).tolist())
+    monkeypatch.setattr(transport.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr(messages, "STEP", 0.0)
+    signals = [replace(s, reversed=(0,)) if s.is_input else s for s in pendulum.signals]
+    wrong = replace(pendulum, signals=tuple(signals))
+    said = [one for one in watch(wrong, played(pendulum_log, wrong), Idle(pendulum)) if isinstance(one, str)]
+    assert any("the other sign" in text for text in said), said
