@@ -160,14 +160,14 @@ class Result:
 
     def plot(self) -> SavedView:
         """Measured against predicted for the best, a middling and the worst clip; a notebook shows it."""
-        from amhe_cli.report.identification_page import fit_section
+        from amhe_cli.report.identification_page import overlay_section
         from amhe_cli.report.shown import view
 
-        return view([fit_section(self.fits)], "Result")
+        return view([overlay_section(self.fits)], "Result")
 
     def _rendered(self) -> Any:
         from amhe_cli.report.identification import print_identification
-        from amhe_cli.report.terminal import PlainConsole
+        from amhe_cli.report.tables import PlainConsole
 
         console = PlainConsole(record=True, file=io.StringIO(), width=_WIDTH, force_jupyter=False)
         print_identification(self.found, None, console, truth_in_metadata(self.logs))

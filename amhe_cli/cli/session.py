@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import FrameType
 
-    from amhe_cli.report.terminal import PlainConsole
+    from amhe_cli.report.tables import PlainConsole
 
 DONE, FAILED, USAGE, LOSSY, UNREADABLE, INTERRUPTED, TERMINATED = 0, 1, 2, 3, 4, 130, 143
 
@@ -161,7 +161,7 @@ class Session:
 
     def console(self, stderr: bool = False) -> PlainConsole:
         """Rich console on stdout, or on stderr."""
-        from amhe_cli.report.terminal import PlainConsole
+        from amhe_cli.report.tables import PlainConsole
 
         stream = sys.stderr if stderr else sys.stdout
         plain = not stream.isatty() and "COLUMNS" not in os.environ

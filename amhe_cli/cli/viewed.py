@@ -145,7 +145,7 @@ class Viewed:
             "events": jumps,
             "first": begun if begun.keys() >= set(system.space.names) else None,
             "belief": _last(system, curves) if known is None else known,
-            "known_as": "final belief" if known is None else "given belief",
+            "known_as": "after",
         }
         if self.record.task is not None:
             shown["more"] = floor_of(as_measured(find_task(self.record.task), system))

@@ -18,7 +18,7 @@ from amhe_cli.core.files import json_text, plain
 from amhe_cli.report import numbers
 from amhe_cli.report.folder import results
 from amhe_cli.report.identification import held_out_line
-from amhe_cli.report.identification_page import fit_section
+from amhe_cli.report.identification_page import overlay_section
 from amhe_cli.report.page import Section, Statement, result_page
 from amhe_cli.report.tables import NUMBER, STRONG, Table
 from amhe_cli.system.export.annotated import with_comments
@@ -167,7 +167,7 @@ def _page(found: Audit, model: Path, record: Mapping[str, Any], origin: Mapping[
             "Of the forces: what the difference is worth, as a share of the joints' forces along the motion.",
             table=audit_table(found.lines),
         ),
-        fit_section(found.found.fits),
+        *([overlay_section(found.found.fits)] if found.found.fits else []),
     ]
     return result_page(
         record, origin, title=f"Audit of {model.name}", facts=(), headline=f"{count_text(found.lines)}.",

@@ -17,8 +17,7 @@ from amhe_cli.report import numbers
 from amhe_cli.report.folder import results
 from amhe_cli.report.held_out import sized
 from amhe_cli.report.page import Section, Statement, result_page
-from amhe_cli.report.tables import NUMBER, STRONG, Table, rich_table
-from amhe_cli.report.terminal import PlainConsole
+from amhe_cli.report.tables import NUMBER, STRONG, PlainConsole, Table, rich_table
 
 
 def comparison_table(names: Sequence[str], horizons: Sequence[AtHorizon]) -> Table:

@@ -19,11 +19,11 @@ from amhe_cli.core.files import json_text, plain
 from amhe_cli.core.yaml_file import YamlFile
 from amhe_cli.estimation.core.result import HeldOut, Identification, OwnSpread, Repair, known_together
 from amhe_cli.report import numbers
-from amhe_cli.report.bodies import body_table
 from amhe_cli.report.folder import results
 from amhe_cli.report.held_out import error_rows
 from amhe_cli.report.identification_page import MAX_COMBINATIONS, identification_page
 from amhe_cli.report.missing import missing_record, print_missing, print_repairs, repairs_record
+from amhe_cli.report.parameters import body_table
 from amhe_cli.report.tables import NUMBER, Table, rich_table
 from amhe_cli.system.description.folders import FILE_NAME
 from amhe_cli.system.export.mjcf import identified_assets, identified_xml

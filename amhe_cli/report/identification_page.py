@@ -2,35 +2,43 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
+
+import numpy as np
+from markupsafe import Markup
 
 from amhe_cli.estimation.core.result import (
     VERDICTS,
     Combination,
     Fit,
+    HeldOut,
     Identification,
     ParameterResult,
     known_together,
 )
 from amhe_cli.report import figures, numbers
-from amhe_cli.report.bodies import body_table
-from amhe_cli.report.held_out import held_out_sections, held_out_statement
+from amhe_cli.report.held_out import better_text, held_out_section, held_out_statement
 from amhe_cli.report.missing import missing_section, repairs_section
-from amhe_cli.report.page import Fold, Section, Statement, Tone, cell, fixed_statement, result_page
-from amhe_cli.report.parameters import parameter_section
+from amhe_cli.report.page import Section, Statement, Tone, cell, fixed_statement, result_page
+from amhe_cli.report.parameters import body_table, budget_section, parameter_section
 from amhe_cli.report.tables import NUMBER, STRONG, Table
 
 #: Clips whose fit is drawn.
 MAX_CLIPS = 3
-#: How many of them are open at once.
-OPEN_CLIPS = 2
-
 #: Residuals of more than this many times the declared noise are pointed out.
 LARGE_RESIDUAL = 2.0
 #: Right end of the bars of residuals, in times the declared noise.
 LARGEST_RESIDUAL = 5.0
+
+#: Pairs with a correlation beyond this one have an ellipse.
+CORRELATED = 0.6
+#: What residuals over noise mean.
+THUMB = "About 1 is good; from 2 on, look at what is left; from 5 on, the model is wrong."
 
 #: Combinations that are named outside their own table.
 MAX_COMBINATIONS = 3
@@ -42,10 +50,29 @@ _TONES: Mapping[str, Tone] = {
 }
 
 
+@dataclass(frozen=True, slots=True)
+class Beside:
+    """What a view of the same result adds to its page.
+
+    Args:
+        strip: Pictures of the robot with its ghosts.
+        whole: The log as a whole.
+        link: Address of the view, at the clip that is shown.
+    """
+
+    strip: Markup = field(default_factory=Markup)
+    whole: Markup = field(default_factory=Markup)
+    link: str = ""
+
+
+_ALONE = Beside()
+
+
 def identification_page(
     result: Identification,
     record: Mapping[str, Any],
     provenance: Mapping[str, Any],
+    seen: Beside = _ALONE,
 ) -> str:
     """The page as HTML.
 
@@ -53,6 +80,7 @@ def identification_page(
         result: The identification.
         record: Content of result.json.
         provenance: Versions, hashes, seed and command.
+        seen: What a view adds to it.
     """
     clips, logs = result.clips, len(result.logs)
     return result_page(
@@ -65,27 +93,41 @@ def identification_page(
             f"{result.rollouts:,} rollouts in {record['seconds']:.1f} s",
         ),
         headline=headline(result),
-        statements=statements(result),
-        sections=list(_sections(result, record)),
+        statements=[
+            *statements(result),
+            *([Statement("good", "See it move, at its worst clip", seen.link)] if seen.link else []),
+        ],
+        sections=list(_sections(result, record, seen)),
     )
 
 
 def headline(result: Identification) -> str:
-    """The result in one line."""
+    """The result in one line, with the misfit over the noise."""
+    told = _verdict_text(result)
+    return f"{told}; {misfit_text(result)}." if misfit_text(result) else f"{told}."
+
+
+def misfit_text(result: Identification) -> str:
+    """'misfit 1.3 times the noise'; '' where nothing was compared."""
+    worst = max(result.noise_scale.values(), default=math.nan)
+    return f"misfit {worst:.2g} times the noise" if math.isfinite(worst) else ""
+
+
+def _verdict_text(result: Identification) -> str:
     total = len(result.parameters)
     if result.unexplained:
-        return f"No parameter is identified: {result.unexplained[0]}."
+        return f"No parameter is identified: {result.unexplained[0]}"
     identified, conditional = (
         sum(p.verdict == verdict for p in result.parameters) for verdict in ("identified", "conditional")
     )
     if identified == total:
-        return "All parameters are identified." if total > 1 else "The parameter is identified."
+        return "All parameters are identified" if total > 1 else "The parameter is identified"
     if conditional:
         also = f"{identified} identified, and " * (identified > 0)
-        return f"Of {total} parameters {also}{conditional} determined if a number that was given is right."
+        return f"Of {total} parameters {also}{conditional} determined if a number that was given is right"
     if not identified:
-        return "No parameter is identified by these logs."
-    return f"{identified} of {total} parameters {'is' if identified == 1 else 'are'} identified."
+        return "No parameter is identified by these logs"
+    return f"{identified} of {total} parameters {'is' if identified == 1 else 'are'} identified"
 
 
 def statements(result: Identification) -> list[Statement]:
@@ -94,13 +136,20 @@ def statements(result: Identification) -> list[Statement]:
         *_stopped(result),
         *_unexplained(result),
         *held_out_statement(result.held_out),
+        *_better(result.held_out),
         *(Statement("good", f"{text[0].upper()}{text[1:]}.") for text in (result.determined,) if text),
         *_verdicts(result.parameters),
-        *_combinations(result),
+        *(Statement("good", together_text(result, c)) for c in known_together(result)[:MAX_COMBINATIONS]),
         *fixed_statement(result.belief.fixed, result.exact),
         *_residuals(result),
         *_divergence(result),
     ]
+
+
+def _better(held_out: HeldOut | None) -> Iterator[Statement]:
+    if held_out and (text := better_text(held_out.horizons)):
+        worse = any(one.identified > one.initial for one in held_out.horizons)
+        yield Statement("mixed" if worse else "good", f"{text}.", "held-out")
 
 
 def _stopped(result: Identification) -> Iterator[Statement]:
@@ -127,21 +176,16 @@ def _verdicts(parameters: Sequence[ParameterResult]) -> Iterator[Statement]:
             yield Statement(tone, f"{numbers.joined(names)}: {VERDICTS[verdict]}.")
 
 
-def _combinations(result: Identification) -> Iterator[Statement]:
-    best = known_together(result)[:MAX_COMBINATIONS]
-    if best:
-        known = numbers.joined([f"{c.text} (sd {numbers.percent(c.sd)})" for c in best])
-        yield Statement("good", f"Known more precisely together than apart: {known}.")
-
-
 def _residuals(result: Identification) -> Iterator[Statement]:
-    for channel, scale in result.noise_scale.items():
-        if scale > LARGE_RESIDUAL:
-            yield Statement(
-                "mixed",
-                f"The residuals of {channel} are {scale:.2g} times the declared noise: the model misses "
-                "something there, or the noise is larger than declared.",
-            )
+    large = {channel: scale for channel, scale in result.noise_scale.items() if scale > LARGE_RESIDUAL}
+    if large:
+        told = numbers.joined([f"{channel} {scale:.2g}" for channel, scale in large.items()])
+        why = "The model misses something there, or the noise is larger than declared."
+        yield Statement("mixed", f"Residuals over noise: {told}. {why}")
+    if misfit_text(result):
+        worst = max(result.noise_scale.values())
+        tone: Tone = "good" if worst <= LARGE_RESIDUAL else "bad" if worst > LARGEST_RESIDUAL else "mixed"
+        yield Statement(tone, f"{misfit_text(result).capitalize()}. {THUMB}")
 
 
 def _divergence(result: Identification) -> Iterator[Statement]:
@@ -153,12 +197,21 @@ def _divergence(result: Identification) -> Iterator[Statement]:
         )
 
 
-def _sections(result: Identification, record: Mapping[str, Any]) -> Iterator[Section]:
+def _sections(result: Identification, record: Mapping[str, Any], seen: Beside) -> Iterator[Section]:
     yield parameter_section(result, record["truth"])
+    if result.fits:
+        yield overlay_section(result.fits, seen)
+    if result.held_out:
+        yield held_out_section(result.held_out)
+    if result.missing:
+        yield missing_section(result.missing)
+    if result.repairs:
+        yield repairs_section(result.repairs)
+    yield budget_section(result.parameters)
+    if len(result.parameters) > 1:
+        yield _together_section(result)
     if result.bodies:
-        yield Section("Inertias in the axes of their bodies", table=body_table(result.bodies))
-    if result.combinations:
-        yield _combination_section(result)
+        yield Section("Inertias in the axes of their bodies", table=body_table(result.bodies), folded=True)
     if result.runs:
         yield Section(
             "Repeatability: each run alone",
@@ -166,76 +219,105 @@ def _sections(result: Identification, record: Mapping[str, Any]) -> Iterator[Sec
             "parameter has no value. Runs that disagree beyond chance are named with the parameter, and "
             "widen its interval.",
             table=_run_table(result),
+            folded=False,
         )
-    if result.held_out:
-        yield from held_out_sections(result.held_out)
-    if result.missing:
-        yield missing_section(result.missing)
-    if result.repairs:
-        yield repairs_section(result.repairs)
-    if result.fits:
-        yield fit_section(result.fits)
-    if folder := record.get("out"):
+    if seen.whole:
         yield Section(
-            "In three dimensions",
-            text="A page with the logs, and with what the model predicts under the nominal and under the "
-            "identified parameters:",
-            items=[f"amhe view {shlex.quote(folder)}"],
-            files=True,
+            "Whole log",
+            text="What was measured, and what is predicted from the first state of each clip.",
+            figure=seen.whole,
+            folded=True,
         )
     if result.noise_scale:
         yield Section(
             "Residuals against declared noise",
+            text=f"The mark stands at 1: there residuals are as large as the noise in system.yaml. {THUMB}",
             table=_residual_table(result.noise_scale),
-            note="The mark stands at 1: there residuals are as large as the noise declared in system.yaml.",
+            folded=True,
         )
     if profiles := figures.profile_figure(result.parameters):
         yield Section(
             "Cost along each parameter",
-            text="The other parameters are held at the estimate. Band: 90 % interval; blue: estimate; "
-            "dashed: prior. A flat line means that the logs hardly narrow the parameter down; of many "
-            "parameters, those are left out.",
+            text="The other parameters are held at the estimate. A flat line means that the logs hardly "
+            "narrow the parameter down; of many parameters, those are left out.",
             figure=profiles,
-        )
-    if len(result.parameters) > 1:
-        yield Section(
-            "Correlations",
-            text="Two parameters with a correlation near +1 or -1 explain the same motion: only a "
-            "combination of them is known.",
-            figure=figures.correlation_figure(result.belief.names, result.correlations),
-            natural=True,
+            folded=True,
         )
     if result.iterations:
         yield Section(
             "Convergence",
             text=f"{len(result.iterations)} iterations of the method {result.method}. To the right: how far "
             "each parameter was from its final value, in sd of its prior.",
-            legend=figures.convergence_legend(result.belief.names),
             figure=figures.convergence_figure(result.iterations, result.parameters, result.belief.log),
+            folded=True,
         )
     yield _data_section(result)
+    if folder := record.get("out"):
+        yield Section("Next", items=next_steps(folder), files=True, folded=False)
 
 
-def _combination_section(result: Identification) -> Section:
-    """Combinations that are known better than their parameters; the others are folded away."""
-    known = known_together(result)
-    others = [c for c in result.combinations if c not in known]
-    count = f"{len(others)} combination{'s' * (len(others) > 1)}"
-    hidden = Fold(f"{count} known no better", cell("table", _combination_table(others)), open=False)
+def next_steps(folder: str | Path) -> list[str]:
+    """What to run next, to look at a result, to use it and to randomise with it."""
+    quoted = shlex.quote(str(folder))
+    return [
+        f"amhe view {quoted}  # look: drag the parameters, and the prediction follows",
+        f"{quoted}/identified.xml  # use: the model with these values",
+        f"amhe export {quoted}/belief.yaml  # randomise: samples, mjlab, Isaac Lab",
+    ]
+
+
+def overlay_section(fits: Sequence[Fit], seen: Beside = _ALONE) -> Section:
+    """Measured against predicted: the clip that the values before miss most, in large; the others below."""
+    clips: dict[str, list[Fit]] = {}
+    for fit in fits:
+        clips.setdefault(fit.clip, []).append(fit)
+    first = max(clips.values(), key=lambda own: (own[0].held_out, figures.widest_gap(own)))
+    others = [own for own in clips.values() if own is not first][: MAX_CLIPS - 1]
     return Section(
-        "Combinations",
-        text="Where two parameters explain the same motion, the logs may know a product or quotient of them "
-        "better than either: predictions of such motion are good although each value is uncertain, and "
-        "whoever measures one of the two knows the other as well."
-        + ("" if known else " None is known better here."),
-        table=_combination_table(known) if known else None,
-        folds=[hidden] if others else [],
+        "Measured against predicted",
+        text=_clip_text(first),
+        figure=seen.strip
+        + figures.fit_figure(first, large=True)
+        + Markup("").join(
+            Markup("<p>{}</p>").format(_clip_text(own)) + figures.fit_figure(own) for own in others
+        ),
     )
 
 
-def _combination_table(combinations: Sequence[Combination]) -> Table:
-    rows = [(c.text, numbers.percent(c.sd), numbers.shrinkage(c.shrinkage)) for c in combinations]
-    return Table(("combination", "sd", "shrinkage"), ("name", STRONG, NUMBER), rows)
+def _clip_text(fits: Sequence[Fit]) -> str:
+    return f"{fits[0].clip}, {'not fitted' if fits[0].held_out else 'fitted'}."
+
+
+def _together_section(result: Identification) -> Section:
+    """Pairs that are known better together than apart, as sentences and as ellipses."""
+    rows = [(c.text, numbers.percent(c.sd), numbers.shrinkage(c.shrinkage)) for c in result.combinations]
+    known = known_together(result)[:MAX_COMBINATIONS]
+    return Section(
+        "Known together",
+        text="Where two parameters explain the same motion, the logs know a product or quotient of them "
+        "better than either. Each ellipse holds 90 %: the narrower it is, the more one value says of the "
+        "other." + ("" if known else " Here no combination is known better than its parts."),
+        items=[together_text(result, c) for c in known],
+        figure=figures.ellipse_figure(result, _pairs(result)),
+        table=Table(("combination", "sd", "shrinkage"), ("name", STRONG, NUMBER), rows) if rows else None,
+        folded=not known,
+    )
+
+
+def together_text(result: Identification, c: Combination) -> str:
+    """'mass is known to 4 % and friction to 4 %, mass * friction to 1 %: ...'."""
+    parts = [p for p in result.parameters if p.name in c.names and p.estimate]
+    apart = [f"{p.name} to {numbers.percent(p.sd / abs(p.estimate))}" for p in parts] or ["no part alone"]
+    follows = "the other follows" if len(c.names) == 2 else "the others follow"
+    return f"{numbers.joined(apart)}, but {c.text} to {numbers.percent(c.sd)}: know one better and {follows}."
+
+
+def _pairs(result: Identification) -> list[tuple[str, str]]:
+    """The pairs whose errors go together most, at most six of those beyond `CORRELATED`."""
+    names, size = result.belief.names, np.abs(np.triu(result.correlations, 1))
+    order = np.argsort(-size, axis=None, kind="stable")[:6]
+    places = zip(*np.unravel_index(order, size.shape), strict=True)
+    return [(names[i], names[j]) for i, j in places if size[i, j] > CORRELATED]
 
 
 def _run_table(result: Identification) -> Table:
@@ -271,24 +353,6 @@ def _residual_table(noise_scale: Mapping[str, float]) -> Table:
     return Table(("channel", "residual sd / noise sd", ""), ("name", STRONG, ""), rows)
 
 
-def fit_section(fits: Sequence[Fit]) -> Section:
-    """The fit of a few clips, those that were not fitted first."""
-    clips: dict[str, list[Fit]] = {}
-    for fit in sorted(fits, key=lambda fit: not fit.held_out):
-        clips.setdefault(fit.clip, []).append(fit)
-    folds = [
-        Fold(
-            clip,
-            figures.fit_figure(group),
-            "not fitted" if group[0].held_out else "fitted",
-            open=number < OPEN_CLIPS,
-        )
-        for number, (clip, group) in enumerate(list(clips.items())[:MAX_CLIPS])
-    ]
-    legend = figures.fit_legend("the initial parameters", "the identified parameters")
-    return Section("Measured against predicted", legend=legend, folds=folds)
-
-
 def _data_section(result: Identification) -> Section:
     clips = result.clips
     dropped = [
@@ -302,4 +366,5 @@ def _data_section(result: Identification) -> Section:
     parts = [f"{clips.fitted_of} were fitted" + f" and {clips.held_out} held out" * (clips.held_out > 0)]
     parts += [f"{numbers.joined(dropped)} were dropped"] if dropped else []
     parts += [f"{result.diverged:,} of {result.rollouts:,} rollouts diverged"] if result.diverged else []
-    return Section("Data", text="".join(f"{part}. " for part in parts), items=result.logs, files=True)
+    text = "".join(f"{part}. " for part in parts)
+    return Section("Data", text=text, items=result.logs, files=True, folded=True)

@@ -13,7 +13,7 @@ from amhe_cli.report import numbers
 from amhe_cli.report.comparison import heads, horizon_record, together
 from amhe_cli.report.figures import missing_figure
 from amhe_cli.report.held_out import sized
-from amhe_cli.report.page import Key, Section
+from amhe_cli.report.page import Section
 from amhe_cli.report.tables import NUMBER, STRONG, TEXT, Table, rich_table
 
 
@@ -115,21 +115,18 @@ def repairs_section(tried: Sequence[Repair]) -> Section:
         f"the error of clips that were not fitted fell by more than chance.{copy}",
         table=repairs_table(tried),
         items=_verdicts(tried),
-        name="repairs",
+        folded=False,
     )
 
 
 def missing_section(found: Missing) -> Section:
     """The causes as a table, each with a picture of its force."""
-    figure = missing_figure(found.rows)
     return Section(
         "What is missing",
         text="What explains the motion that the model does not, on parts of the logs that were not fitted. "
         "Each cause is fitted beside the parameters and the other causes.",
-        legend=(Key("not explained without it", "#475569", "dot"), Key("the cause", "#2563eb", "dot"))
-        if figure else (),
         table=missing_table(found) if found.rows else None,
-        figure=figure or "",
+        figure=missing_figure(found.rows),
         note=f"{rest(found).capitalize()}.",
-        name="missing",
-    )  # fmt: skip
+        folded=not found.rows,
+    )

@@ -1,28 +1,28 @@
-"""A report: one page of HTML that opens without a network; its script only shows numbers and zooms."""
+"""A report: one page of HTML, with the sentence and the table first, and the rest in parts that fold."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cache
+from dataclasses import dataclass
 from typing import Any, Literal
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from amhe_cli.core.text import printable, script_digest
 from amhe_cli.report import numbers
 from amhe_cli.report.tables import Table
+from amhe_cli.web.page import template
 
 Tone = Literal["good", "mixed", "bad"]
 
 
 @dataclass(frozen=True, slots=True)
 class Statement:
-    """A sentence, and whether it is good news."""
+    """A sentence, and whether it is good news; a link behind it where there is more."""
 
     tone: Tone
     text: str
+    link: str = ""
 
 
 def fixed_statement(fixed: Mapping[str, float], exact: Sequence[str] = ()) -> Iterator[Statement]:
@@ -34,81 +34,48 @@ def fixed_statement(fixed: Mapping[str, float], exact: Sequence[str] = ()) -> It
 
 
 @dataclass(frozen=True, slots=True)
-class Key:
-    """One entry of a legend.
-
-    Args:
-        label: What the line, dot or area means.
-        color: CSS colour.
-        shape: 'solid', 'dashed' or 'dotted' line, 'dot' or 'patch'; '' for text alone.
-    """
-
-    label: str
-    color: str = ""
-    shape: Literal["solid", "dashed", "dotted", "dot", "patch", ""] = "solid"
-
-
-@dataclass(frozen=True, slots=True)
-class Fold:
-    """A part of a section that the reader can open and close."""
-
-    title: str
-    content: Markup
-    remark: str = ""
-    open: bool = True
-
-
-@dataclass(frozen=True, slots=True)
 class Section:
     """A titled part of a page; everything below the title is optional and shown in this order.
 
     Args:
         title: Heading of the section.
         text: A paragraph.
-        legend: The entries of a legend.
         table: A table.
-        figure: An SVG element, as `figures.svg` makes it.
-        natural: Whether the figure keeps its own width, instead of that of the page.
-        folds: Parts that open and close.
+        figure: Figures, as `web.plots.figure` makes them.
         items: A list.
-        files: Whether the items are names of files.
+        files: Whether the items are names of files, or commands.
         note: A closing remark in small print.
-        name: Anchor of the section, for links.
+        folded: The reader opens it; None: it does not fold.
+        remark: What stands behind the title.
     """
 
     title: str
     text: str = ""
-    legend: Sequence[Key] = ()
     table: Table | None = None
-    figure: str = ""
-    natural: bool = False
-    folds: Sequence[Fold] = ()
+    figure: Markup | str = ""
     items: Sequence[str] = ()
     files: bool = False
     note: str = ""
-    name: str = ""
+    folded: bool | None = None
+    remark: str = ""
+
+    @property
+    def name(self) -> str:
+        """Anchor of the section, for links: 'held-out' of 'Held out'."""
+        return re.sub(r"[^a-z0-9]+", "-", self.title.lower()).strip("-")
 
 
-@dataclass(frozen=True, slots=True)
-class Origin:
-    """How a result was made.
-
-    Args:
-        commands: The command lines.
-        values: Seed, settings and versions, by name.
-        hashes: SHA-256 of each file that was read, by path.
-        note: A closing remark.
-    """
-
-    commands: Sequence[str]
-    values: Mapping[str, object] = field(default_factory=dict)
-    hashes: Mapping[str, str] = field(default_factory=dict)
-    note: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Page:
-    """The content of a report.
+def page(
+    command: str,
+    *,
+    title: str,
+    facts: Sequence[str],
+    headline: str,
+    statements: Sequence[Statement],
+    sections: Sequence[Section],
+    warnings: Sequence[str] = (),
+) -> str:
+    """A report as HTML that needs no other file.
 
     Args:
         command: The command that made it, without 'amhe'.
@@ -118,83 +85,61 @@ class Page:
         statements: What a reader should know first.
         sections: Tables and figures.
         warnings: Texts of the warnings.
-        origin: How the result was made.
     """
-
-    command: str
-    title: str
-    facts: Sequence[str]
-    headline: str
-    statements: Sequence[Statement]
-    sections: Sequence[Section]
-    warnings: Sequence[str]
-    origin: Origin
-
-    def html(self) -> str:
-        """The page as HTML that needs no other file."""
-        return template("page.html.j2").render(page=self, title=f"{self.title} · amhe {self.command}")
+    sections = [*sections]
+    if warnings:
+        more = Section("Warnings", items=warnings)
+        statements = [
+            *statements,
+            Statement("mixed", f"{len(warnings)} warning{'s' * (len(warnings) > 1)}", more.name),
+        ]
+        sections.insert(-1, more)
+    return template("page.html.j2").render(
+        command=command, title=f"{title} · amhe {command}", heading=title, facts=facts, headline=headline,
+        statements=statements, sections=sections,
+    )  # fmt: skip
 
 
 def result_page(
     record: Mapping[str, Any],
     provenance: Mapping[str, Any],
     *,
-    title: str,
-    facts: Sequence[str],
-    headline: str,
-    statements: Sequence[Statement],
     sections: Sequence[Section],
+    facts: Sequence[str],
     settings: Mapping[str, object] | None = None,
+    **more: Any,
 ) -> str:
     """The page of a command that writes a result.json.
 
     Args:
         record: Content of result.json: command, version, warnings.
         provenance: Time, command line, seed, versions, and hashes of files in groups.
-        title, facts, headline, statements, sections: See `Page`.
+        sections, facts: See `page`.
         settings: Settings to list with the seed, by name.
+        more: Further arguments of `page`.
     """
-    versions = provenance["versions"]
     made = str(provenance["created"]).replace("T", " ").replace("+00:00", " UTC")
-    hashes = {
-        path: digest
-        for group in ("inputs", "logs", "held_out_logs", "system_files")
-        for path, digest in provenance.get(group, {}).items()
-    }
-    return Page(
-        record["command"],
-        title,
-        (*facts, made, f"amhe {record['version']}, MuJoCo {versions['mujoco']}"),
-        headline,
-        statements,
-        sections,
-        record["warnings"],
-        Origin(
-            (provenance["command"],),
-            {"seed": provenance["seed"], **(settings or {}), **versions},
-            hashes,
-        ),
-    ).html()
-
-
-@cache
-def template(name: str) -> Any:
-    """A template of this room."""
-    environment = Environment(
-        loader=PackageLoader("amhe_cli.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        finalize=_shown,
-        trim_blocks=True,
-        lstrip_blocks=True,
+    versions = provenance["versions"]
+    values = {"seed": provenance["seed"], **(settings or {}), **versions}
+    groups = ("inputs", "logs", "held_out_logs", "system_files")
+    files = {path: digest for group in groups for path, digest in provenance.get(group, {}).items()}
+    rows = [(name, str(value)) for name, value in values.items()]
+    rows += [(f"SHA-256 of {path}", digest) for path, digest in files.items()]
+    origin = Section(
+        "How it was made",
+        items=[str(provenance["command"])],
+        files=True,
+        table=Table(("", ""), ("", "hash"), rows),
+        folded=True,
+        remark="command, versions, files",
     )
-    environment.filters["digest"] = script_digest
-    return environment.get_template(name)
-
-
-def _shown(value: object) -> object:
-    """What stands in the page for a value: a text without control characters; what is HTML stays as it is."""
-    return printable(value, keep="\n") if type(value) is str else value
+    return page(
+        record["command"],
+        facts=(*facts, made, f"amhe {record['version']}, MuJoCo {versions['mujoco']}"),
+        sections=[*sections, origin],
+        warnings=record["warnings"],
+        **more,
+    )
 
 
 def cell(name: str, *content: object, **more: object) -> Markup:

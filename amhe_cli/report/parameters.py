@@ -1,4 +1,4 @@
-"""The table of an identification's parameters on its page, with the reasons of their verdicts."""
+"""Tables of an identification: its parameters, where each interval comes from, inertias of bodies."""
 
 from __future__ import annotations
 
@@ -8,15 +8,19 @@ import numpy as np
 from markupsafe import Markup
 
 from amhe_cli.core.statistics import Z90
-from amhe_cli.estimation.core.result import VERDICTS, Identification, ParameterResult
+from amhe_cli.estimation.core.result import VERDICTS, BodyNumber, Identification, ParameterResult
 from amhe_cli.estimation.uncertainty.ledger import KINDS, LEAST
 from amhe_cli.report import figures, numbers
-from amhe_cli.report.page import Fold, Section, cell
+from amhe_cli.report.page import Section, cell
 from amhe_cli.report.reasons import Shared, common_reasons, own_reasons
 from amhe_cli.report.tables import NUMBER, STRONG, Table
 
 #: Half-width of the strip that shows prior and posterior side by side, in prior sd.
 STRIP = 2.5
+#: Colour of each kind of term of the ledger.
+_COLORS = dict(
+    zip(KINDS, ("after", "prior", "violet", "red", "mixed", "teal", "brown", "amber", "green"), strict=True)
+)
 
 
 def parameter_section(result: Identification, truth: Mapping[str, float]) -> Section:
@@ -27,12 +31,15 @@ def parameter_section(result: Identification, truth: Mapping[str, float]) -> Sec
         truth: True values that the logs contain, by name.
     """
     common = common_reasons(result.parameters)
+    meanings = Markup(" ").join(
+        Markup("{} {}.").format(cell("verdict", name), text) for name, text in VERDICTS.items()
+    )
     return Section(
         "Parameters",
         table=_parameter_table(result, truth, common),
         items=[f"{place}: {one.text}: {', '.join(one.owners)}" for place, one in enumerate(common, 1)],
-        folds=[_budget(result.parameters)],
-        note=_legend_of_verdicts(),
+        note=meanings
+        + " Shrinkage is how much narrower the posterior is than the prior; at 0 % the logs added nothing.",
     )
 
 
@@ -40,25 +47,26 @@ def _parameter_table(result: Identification, truth: Mapping[str, float], common:
     rows = [
         (
             p.name,
-            numbers.with_sd(p.estimate, p.sd),
-            numbers.unit_of(p.unit),
+            cell("verdict", p.verdict),
+            numbers.quantity(numbers.with_sd(p.estimate, p.sd), p.unit),
             numbers.interval(p.lower, p.upper),
             numbers.with_sd(p.prior, p.prior_sd),
             _strip(p, log),
             cell("bar", p.shrinkage, numbers.shrinkage(p.shrinkage)),
-            cell("verdict", p.verdict),
         )
         for p, log in zip(result.parameters, result.belief.log, strict=True)
     ]
-    return Table(
-        (
-            "parameter", "estimate ± sd", "unit", "90 % interval", "prior", "prior and posterior",
-            "shrinkage", "verdict",
-        ),
-        ("name", STRONG, "unit", NUMBER, f"{NUMBER} soft", "spare", NUMBER, ""),
-        rows,
-        [_remark(p, truth, common) for p in result.parameters],
-    )  # fmt: skip
+    head = (
+        "parameter",
+        "verdict",
+        "estimate ± sd",
+        "90 % interval",
+        "prior",
+        "prior and posterior",
+        "shrinkage",
+    )
+    looks = ("name", "", STRONG, NUMBER, f"{NUMBER} soft", "spare", NUMBER)
+    return Table(head, looks, rows, [_remark(p, truth, common) for p in result.parameters])
 
 
 def _strip(p: ParameterResult, log: bool) -> Markup:
@@ -84,34 +92,43 @@ def _remark(p: ParameterResult, truth: Mapping[str, float], common: Sequence[Sha
     return " · ".join(parts)
 
 
-def _budget(parameters: Sequence[ParameterResult]) -> Fold:
-    """Where the variance of each parameter comes from, and how far it owes to its prior; closed."""
+def budget_section(parameters: Sequence[ParameterResult]) -> Section:
+    """Where the variance of each parameter comes from, and how far it owes to its prior."""
     shown = [
         [(kind, p.budget[kind]) for kind in KINDS if p.budget.get(kind, 0.0) >= LEAST] for p in parameters
     ]
     rows = [
         (
             p.name,
-            numbers.rounded(p.sd, p.sd),
-            numbers.unit_of(p.unit),
-            cell("shares", shares),
+            numbers.quantity(numbers.rounded(p.sd, p.sd), p.unit),
+            cell("shares", [(kind, share, _COLORS[kind]) for kind, share in shares]),
             ", ".join(f"{kind} {100.0 * share:.0f} %" for kind, share in sorted(shares, key=lambda s: -s[1])),
             numbers.rounded(p.doubled_prior, p.sd),
         )
         for p, shares in zip(parameters, shown, strict=True)
     ]
-    head = ("parameter", "sd", "unit", "variance", "", "with twice the prior's sd")
-    table = Table(head, ("name", STRONG, "unit", "", "soft", NUMBER), rows)
+    head = ("parameter", "sd", "variance", "", "with twice the prior's sd")
     kinds = [kind for kind in KINDS if any(kind == name for shares in shown for name, _ in shares)]
-    meanings = Markup("; ").join(Markup("{}: {}").format(kind, KINDS[kind]) for kind in kinds)
-    text = Markup("<p>{}. The last column says how far the estimate would move.</p>").format(meanings)
-    return Fold("Where each interval comes from", text + cell("table", table), "", open=False)
+    meanings = "; ".join(f"{kind}: {KINDS[kind]}" for kind in kinds)
+    return Section(
+        "Where each interval comes from",
+        text=f"{meanings}. The last column says how far the estimate would move.",
+        table=Table(head, ("name", STRONG, "", "soft", NUMBER), rows),
+        folded=True,
+    )
 
 
-def _legend_of_verdicts() -> Markup:
-    meanings = Markup(" ").join(
-        Markup("{} {}.").format(cell("verdict", name), text) for name, text in VERDICTS.items()
-    )
-    return meanings + Markup(
-        " Shrinkage is how much narrower the posterior is than the prior; at 0 % the logs added nothing."
-    )
+def body_table(bodies: Sequence[BodyNumber]) -> Table:
+    """Inertias that were identified as a whole, in kg, m and kg m^2."""
+    rows = [
+        (
+            b.name,
+            numbers.with_sd(b.estimate, b.sd),
+            b.unit,
+            numbers.interval(b.lower, b.upper),
+            f"{b.prior:.3g}",
+        )
+        for b in bodies
+    ]
+    looks = ("name", STRONG, "unit", NUMBER, f"{NUMBER} soft")
+    return Table(("inertia", "estimate ± sd", "unit", "90 % interval", "prior"), looks, rows)

@@ -17,7 +17,7 @@ from amhe_cli.estimation.online.predictions import Prediction
 from amhe_cli.estimation.online.replay import Replay
 from amhe_cli.report import figures, numbers, replay_figures
 from amhe_cli.report.folder import results
-from amhe_cli.report.page import Fold, Key, Section, Statement, fixed_statement, result_page
+from amhe_cli.report.page import Section, Statement, fixed_statement, result_page
 from amhe_cli.report.replay_files import MARKS, estimates_csv, write_log
 from amhe_cli.report.tables import NUMBER, STRONG, Table, rich_table
 
@@ -235,21 +235,7 @@ def _has_truth(record: Mapping[str, Any]) -> bool:
 
 def _sections(replay: Replay, fits: Sequence[Fit], record: Mapping[str, Any]) -> Iterator[Section]:
     marks = set(replay.marks)
-    legend = {
-        "": Key("estimate, with its 90 % band", figures.IDENTIFIED),
-        "truth": Key("true value in the log", figures.INK),
-        "jump": Key("jump detected", replay_figures.JUMP, "dotted"),
-        "still": Key("window skipped: too little excitation", replay_figures.STILL, "patch"),
-        "lost": Key("window skipped: missing signal or diverged rollouts", replay_figures.LOST, "patch"),
-    }
-    shown = marks | {""}
-    shown |= {"truth"} if _has_truth(record) else set()
-    shown |= {"lost"} if marks & {"gap", "diverged"} else set()
-    yield Section(
-        "Estimates",
-        legend=[key for name, key in legend.items() if name in shown],
-        figure=replay_figures.estimates_figure(replay),
-    )
+    yield Section("Estimates", figure=replay_figures.estimates_figure(replay))
     yield Section(
         "Final estimates",
         table=parameter_table(record),
@@ -265,14 +251,12 @@ def _sections(replay: Replay, fits: Sequence[Fit], record: Mapping[str, Any]) ->
             Markup("<b>{}</b>: {}.").format(name, text) for name, text in MARKS.items() if name in marks
         ),
     )
-    if fits:
+    clips = [list(group) for _, group in groupby(fits, lambda fit: fit.clip)]
+    for clip in clips:
         yield Section(
-            "Measured against predicted",
-            text="Three of the windows that were used: those with the smallest, the median and the largest "
-            "misfit.",
-            legend=figures.fit_legend("the estimate before the replay", "the estimate after the window"),
-            folds=[
-                Fold(clip, figures.fit_figure(list(group)))
-                for clip, group in groupby(fits, lambda fit: fit.clip)
-            ],
+            f"Measured against predicted, {clip[0].clip}",
+            text="One of three windows that were used: with the smallest, the median and the largest misfit. "
+            "Before: with the estimate before the replay; after: with the estimate after the window.",
+            figure=figures.fit_figure(clip),
+            folded=clip is not clips[-1],
         )

@@ -3,73 +3,64 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import groupby
 
 import numpy as np
 from markupsafe import Markup
-from matplotlib.axes import Axes
-from matplotlib.ticker import LogLocator
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.estimation.online.replay import Replay
-from amhe_cli.report.figures import IDENTIFIED, INITIAL, INK, MEASURED, Grid, styled, svg, thinned
+from amhe_cli.report import numbers
+from amhe_cli.web.plots import Curve, Mark, Panel, figure
 
-#: Colour of the line at a jump.
-JUMP = "#b45309"
-#: Background where windows had too little excitation.
-STILL = "#e8edf3"
-#: Background where a signal was missing, or rollouts diverged.
-LOST = "#fee2e2"
-_SHADES = {"still": STILL, "gap": LOST, "diverged": LOST}
-_BAND = "#dbeafe"
+#: Marks of windows that a figure shows: what they mean, and their colour.
+_SHOWN = {
+    "jump": ("jump detected", "amber"),
+    "still": ("window skipped: too little excitation", "still"),
+    "gap": ("window skipped: missing signal or diverged rollouts", "lost"),
+    "diverged": ("window skipped: missing signal or diverged rollouts", "lost"),
+}
 
 
 def estimates_figure(replay: Replay) -> Markup:
     """Each parameter over time with its 90 % band, its true value where the log has one, and the marks."""
-    space, times = replay.system.space, _held_until(replay)
+    space, times, marks = replay.system.space, _held_until(replay), [*_marks(replay)]
     theta, lower, upper = (_held(replay.column(name)) for name in ("theta", "lower", "upper"))
-    across = 3 if len(space) in (3, 5, 6) or len(space) > 8 else min(2, len(space))
-    grid = Grid(len(space), across, height=2.5)
-    with styled("estimates"):
-        figure = grid.figure()
-        for i, parameter in enumerate(space.parameters):
-            axes = grid.axes(figure, i)
-            _marks(axes, replay)
-            axes.fill_between(times, lower[:, i], upper[:, i], color=_BAND, linewidth=0, step="post")
-            if parameter.name in replay.truth:
-                axes.step(times, _held(replay.truth[parameter.name]), where="post", color=INK, linewidth=1.3)
-            axes.step(times, theta[:, i], where="post", color=IDENTIFIED, linewidth=1.5)
-            axes.set_ylim(*_limits(replay, i))
-            axes.set_xlim(times[0], times[-1])
-            axes.set_xlabel("time [s]")
-            axes.set_title(
-                parameter.name if parameter.unit == "-" else f"{parameter.name} [{parameter.unit}]"
-            )
-        return svg(figure)
+    panels = []
+    for i, p in enumerate(space.parameters):
+        band = (lower[:, i], upper[:, i])
+        lines = [Curve(times, theta[:, i], "estimate, with its 90 % interval", "after", "step", band)]
+        if p.name in replay.truth:
+            lines.append(Curve(times, _held(replay.truth[p.name]), "true value in the log", "ink", "step"))
+        low, high = _limits(replay, i)
+        panels.append(
+            Panel(p.name, lines, numbers.unit_of(p.unit), marks=marks, low=low, high=high, height=190)
+        )
+    return figure(panels, 3 if len(space) in (3, 5, 6) or len(space) > 8 else 2)
 
 
 def windows_figure(replay: Replay) -> Markup:
     """Misfit and excitation of each window, and how long its update took."""
-    grid = Grid(3, 3, height=2.4)
-    setting = replay.system.settings.mhe
-    with styled("windows"):
-        figure = grid.figure()
-        misfit, excitation, took = (grid.axes(figure, index) for index in range(3))
-        _log_line(misfit, replay, replay.column("misfit"), IDENTIFIED)
-        misfit.set_title("misfit before the update, in noise sd")
-        _log_line(excitation, replay, replay.column("excitation"), MEASURED)
-        excitation.axhline(setting.excitation, color=INITIAL, linewidth=1.2, linestyle="--")
-        if setting.excitation:  # values far below the gate are all alike
-            excitation.set_ylim(bottom=0.2 * setting.excitation)
-        excitation.set_title("excitation, in noise sd; dashed: the gate")
-        took.plot(*thinned(replay.times, replay.update_ms), color=MEASURED, linewidth=1.0)
-        took.axhline(1e3 * setting.update_period, color=INITIAL, linewidth=1.2, linestyle="--")
-        took.set_ylim(bottom=0.0)
-        took.set_title("update [ms]; dashed: its period")
-        for axes in (misfit, excitation, took):
-            _marks(axes, replay)
-            axes.set_xlim(replay.times[0], _held_until(replay)[-1])
-            axes.set_xlabel("time [s]")
-        return svg(figure)
+    setting, marks, time = replay.system.settings.mhe, [*_marks(replay)], replay.times
+    misfit, excitation = (
+        np.where(values > 0.0, values, np.nan)
+        for values in (replay.column("misfit"), replay.column("excitation"))
+    )
+    gate, period = setting.excitation, 1e3 * setting.update_period
+    gated = [Mark(gate, "the gate", "before", "y")] if gate else []
+    return figure(
+        [
+            Panel("misfit before the update, in noise sd", [Curve(time, misfit)], marks=marks, log=True),
+            Panel(
+                "excitation, in noise sd", [Curve(time, excitation, color="measured")],
+                marks=[*marks, *gated], log=True, low=0.2 * gate or None,
+            ),  # values far below the gate are all alike
+            Panel(
+                "update", [Curve(time, replay.update_ms, color="measured")], "ms",
+                marks=[*marks, Mark(period, "its period", "before", "y")], low=0.0,
+            ),
+        ]
+    )  # fmt: skip
 
 
 def _held_until(replay: Replay) -> FloatArray:
@@ -80,15 +71,6 @@ def _held_until(replay: Replay) -> FloatArray:
 def _held(values: FloatArray) -> FloatArray:
     """Values (n, ...) with the last one repeated."""
     return np.concatenate((values, values[-1:]))
-
-
-def _log_line(axes: Axes, replay: Replay, values: FloatArray, color: str) -> None:
-    known = np.isfinite(values) & (values > 0.0)
-    axes.plot(*thinned(replay.times, np.where(known, values, np.nan)), color=color, linewidth=1.2)
-    axes.set_yscale("log")
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.minorticks_off()
 
 
 def _limits(replay: Replay, i: int) -> tuple[float, float]:
@@ -105,21 +87,15 @@ def _limits(replay: Replay, i: int) -> tuple[float, float]:
     return (max(low, 0.0) if parameter.log else low), float(values.max()) + margin
 
 
-def _marks(axes: Axes, replay: Replay) -> None:
-    """Shade stretches of skipped windows, and draw a line at each jump."""
-    for mark, begin, end in _stretches(replay):
+def _marks(replay: Replay) -> Iterator[Mark]:
+    """Shades of stretches of skipped windows, and a line at each jump."""
+    times, rows = _held_until(replay), enumerate(replay.estimates)
+    for mark, group in groupby(rows, lambda row: row[1].mark):
+        if mark not in _SHOWN:
+            continue
+        text, color = _SHOWN[mark]
+        first, *rest = [i for i, _ in group]
         if mark == "jump":
-            axes.axvline(begin, color=JUMP, linewidth=1.0, linestyle=":")
-        elif mark in _SHADES:
-            axes.axvspan(begin, end, color=_SHADES[mark], linewidth=0, zorder=0)
-
-
-def _stretches(replay: Replay) -> Iterator[tuple[str, float, float]]:
-    """Consecutive windows with the same mark: mark, begin and end [s]; each jump by itself."""
-    times = _held_until(replay)
-    begin = 0
-    for i, estimate in enumerate(replay.estimates):
-        last = i + 1 == len(replay.estimates)
-        if last or estimate.mark == "jump" or replay.estimates[i + 1].mark != estimate.mark:
-            yield estimate.mark, float(times[begin]), float(times[i + 1])
-            begin = i + 1
+            yield from (Mark(float(times[i]), text, color) for i in (first, *rest))
+        else:
+            yield Mark((float(times[first]), float(times[(first, *rest)[-1] + 1])), text, color)

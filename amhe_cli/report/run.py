@@ -13,9 +13,9 @@ from rich.text import Text
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.files import json_text
 from amhe_cli.core.floor import Floor
-from amhe_cli.report import figures, numbers, run_figures
+from amhe_cli.report import numbers, run_figures
 from amhe_cli.report.folder import write_page
-from amhe_cli.report.page import Key, Section, Statement, Tone, result_page
+from amhe_cli.report.page import Section, Statement, Tone, result_page
 from amhe_cli.report.tables import STRONG, Table, rich_table
 
 
@@ -223,7 +223,11 @@ def _sections(
     task: TaskFacts, columns: Mapping[str, FloatArray], record: Mapping[str, Any]
 ) -> Iterator[Section]:
     if columns:
-        yield from _motion_sections(task, columns, bool(record.get("estimator")))
+        yield Section(
+            "From above", text="; ".join(task.changes), figure=run_figures.path_figure(columns, task.floor)
+        )
+        yield Section("Motion", figure=run_figures.motion_figure(columns))
+        yield Section("Belief", figure=run_figures.belief_figure(columns, task.units))
     states = (
         "All numbers are computed from the true states of the simulation, which the controller never sees."
         if record["truth"]
@@ -237,40 +241,10 @@ def _sections(
         "value is charged until the task's time is over.",
     )
     if columns:
-        yield Section("Cost by term", figure=run_figures.cost_figure(record["cost_terms"]), natural=True)
+        yield Section("Cost by term", table=run_figures.cost_table(record["cost_terms"]))
         yield Section(
             "Planning",
             text="The number of effective samples is 1 where one rollout decides, and the number of rollouts "
             "where all count the same.",
             figure=run_figures.planning_figure(columns, 1e3 * task.period),
         )
-
-
-def _motion_sections(
-    task: TaskFacts, columns: Mapping[str, FloatArray], estimated: bool
-) -> Iterator[Section]:
-    box, robot = Key("box", run_figures.BOX), Key("robot", figures.IDENTIFIED)
-    foot = [Key("front right foot", figures.INK)] if task.floor.one_leg else []
-    changed = [Key("change of box or floor", figures.MUTED, "dotted")] if task.changes else []
-    yield Section(
-        "From above",
-        legend=(
-            box, robot, *foot,
-            Key("path", figures.MUTED, "dashed"), Key("goal of the box", run_figures.GOAL),
-            *(Key(text, shape="") for text in task.changes),
-        ),
-        figure=run_figures.path_figure(columns, task.floor),
-        natural=True,
-    )  # fmt: skip
-    yield Section(
-        "Motion",
-        legend=(robot, Key("commanded speed", figures.INITIAL, "dashed"), box, *changed),
-        figure=run_figures.motion_figure(columns),
-    )
-    true = [Key("true", figures.INK)] if any(name.startswith("truth/") for name in columns) else []
-    interval = [Key("90 % interval", run_figures.BAND, "patch")] if estimated else []
-    yield Section(
-        "Belief and truth" if true else "Belief",
-        legend=(*true, Key("believed", figures.IDENTIFIED, "dashed"), *interval),
-        figure=run_figures.belief_figure(columns, task.units),
-    )

@@ -16,10 +16,12 @@ from amhe_cli.core.shown import Displayed, SavedView
 from amhe_cli.core.signals import QUANTITIES
 from amhe_cli.core.statistics import Z90, correlation
 from amhe_cli.logs.truth import truth_in_metadata
-from amhe_cli.report import figures, numbers
-from amhe_cli.report.page import Section, template
+from amhe_cli.report import numbers
+from amhe_cli.report.page import Section
 from amhe_cli.report.tables import NUMBER, STRONG, Table
 from amhe_cli.system.system import System
+from amhe_cli.web.page import template
+from amhe_cli.web.plots import Curve, Panel, color_of, figure, shown_unit
 
 #: Panels of a log's figure; the table has all series.
 MOST_PANELS = 12
@@ -103,47 +105,29 @@ def _of_belief(belief: Belief) -> Iterator[Section]:
         ("parameter", "estimate ± sd", "unit", "90 % interval"), ("name", STRONG, "unit", NUMBER), rows
     )
     yield Section(f"Belief about {belief.system}", table=table, note=fixed)
-    if len(belief.names) > 1 and (belief.sd > 0.0).all():
-        figure = figures.correlation_figure(belief.names, correlation(belief.covariance))
-        yield Section("Correlations", figure=figure, natural=True)
+    if 1 < len(belief.names) <= MOST_PANELS and (belief.sd > 0.0).all():
+        values = [[f"{value:.2f}" for value in row] for row in correlation(belief.covariance)]
+        rows = [(name, *row) for name, row in zip(belief.names, values, strict=True)]
+        looks = ("name", *(NUMBER for _ in rows))
+        yield Section("Correlations", table=Table(("", *belief.names), looks, rows))
 
 
-def log_figure(log: Log) -> Markup | str:
+def log_figure(log: Log) -> Markup:
     """Each series over time, a panel each, gaps left open; '' for a log without samples."""
     drawn = [(key, one) for key, one in log.series.items() if one.valid.any()][:MOST_PANELS]
-    if not drawn:
-        return ""
-    grid = figures.Grid(len(drawn), min(2, len(drawn)), height=2.4)
+    return figure([_panel(log, key, one) for key, one in drawn], 2)
+
+
+def _panel(log: Log, key: str, one: Series) -> Panel:
     time = log.dt * np.arange(log.steps, dtype=np.float64)
-    with figures.styled(f"log {log.source}"):
-        figure = grid.figure()
-        for index, (key, one) in enumerate(drawn):
-            labels = _labels(one)
-            across = max(
-                1,
-                int((figures.WIDTH / grid.across - 0.7) / (0.35 + 0.065 * max(map(len, labels), default=0))),
-            )
-            rows = -(-len(labels) // across)
-            axes = grid.axes(figure, index, top=0.26 + 0.17 * rows)
-            for column, values in enumerate(np.where(one.valid[:, None], one.values, np.nan).T):
-                label = labels[column] if labels else None
-                color = figures.SERIES[column % len(figures.SERIES)]
-                axes.plot(*figures.thinned(time, values), color=color, linewidth=1.1, label=label)
-            unit = _unit(key, one)
-            axes.set_title(f"{key} [{unit}]" if unit else key, pad=6.0 + 12.0 * rows)
-            axes.set_xlabel("time [s]")
-            if labels:  # between the title and the lines
-                place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderpad": 0.0}
-                axes.legend(
-                    fontsize=7.5, ncols=across, handlelength=1.2, columnspacing=1.0, labelspacing=0.2, **place
-                )
-        return figures.svg(figure)
-
-
-def _labels(one: Series) -> list[str]:
-    """Names of the lines of a series that has a legend; too many lines have none."""
-    count = one.values.shape[1]
-    return [*one.columns, *map(str, range(len(one.columns), count))] if 1 < count <= 8 else []
+    factor, unit = shown_unit(_unit(key, one))
+    columns = factor * np.where(one.valid[:, None], one.values, np.nan).T
+    names = [*one.columns, *map(str, range(len(one.columns), len(columns)))] if len(columns) > 1 else [""]
+    lines = [
+        Curve(time, values, name, **color_of(i))
+        for i, (name, values) in enumerate(zip(names, columns, strict=True))
+    ]
+    return Panel(key, lines, unit)
 
 
 def _rate(log: Log, one: Series) -> str:

@@ -1,13 +1,18 @@
-"""One table, for a page and for a terminal."""
+"""One table, for a page and for a terminal; on that, what is printed is shown, never obeyed."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import rich.box
 import rich.table
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 from rich.text import Text
+
+from amhe_cli.core.text import printable
 
 #: Look of a column of numbers.
 NUMBER = "number"
@@ -54,3 +59,25 @@ def rich_table(table: Table, styles: Mapping[str, str] | None = None) -> rich.ta
     for row in table.rows:
         made.add_row(*(Text(text, style=(styles or {}).get(text.partition(":")[0], "")) for text in row))
     return made
+
+
+class PlainConsole(Console):
+    """A console that knows no markup and writes out control characters; its own colours stay.
+
+    Args:
+        more: Arguments of rich's Console.
+    """
+
+    def __init__(self, **more: Any) -> None:
+        super().__init__(markup=False, highlight=False, **more)
+
+    def print_table(self, table: RenderableType) -> None:
+        """Print a table at its own width: a narrow terminal wraps its lines, but no text is cut."""
+        width = self.measure(table, options=self.options.update(width=1000)).maximum
+        self.width = max(self.width, width)
+        self.print(table)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """The pieces of what is printed."""
+        for text, style, control in super().render(renderable, options):
+            yield Segment(text if control else printable(text, keep="\n"), style, control)

@@ -30,7 +30,7 @@ def page_of(
     threads: int = 1,
     title: str = "",
     warnings: Sequence[str] = (),
-    known_as: str = "identified",
+    known_as: str = "after",
     curves: Sequence[TimeCurve] = (),
     events: FloatArray | Sequence[float] = (),
     more: Sequence[Geom] = (),
@@ -58,7 +58,7 @@ def page_of(
     """
     begun = system.space.named(system.space.nominal) if first is None else first
     start = np.array([begun[name] for name in system.space.names])
-    candidates = {"nominal" if first is None else "first belief": system.space.z_of(start)}
+    candidates = {"predicted" if belief is None else "before": system.space.z_of(start)}
     if belief is not None:
         candidates[known_as] = _identified(system, belief)
     parts = list(_parts(system, logs, held_out)) if fitted else [(whole(log), None) for log in logs]

@@ -5,13 +5,9 @@ The page of a saved file and that of a server are the same; a served one may als
 
 from __future__ import annotations
 
-import html
-import json
-import re
 from base64 import b64encode
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -19,11 +15,11 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief import Belief
 from amhe_cli.core.curves import TimeCurve
-from amhe_cli.core.files import plain
 from amhe_cli.core.parameters import ParameterSpace
-from amhe_cli.core.text import printable, script_digest
+from amhe_cli.core.text import printable
 from amhe_cli.view.ghosts import Plotted, Recording, Take, Track, Viewing
 from amhe_cli.view.scene import Scene
+from amhe_cli.web import page as web
 
 #: How far ghosts may leave the measured places, before they stop at an edge [m].
 _BEYOND = 2.0
@@ -37,9 +33,6 @@ _STRONGEST = 10.0
 _GRAVITY = 9.81
 #: Most points of a curve.
 _POINTS = 4000
-#: Files of the page's script, in their order.
-_SCRIPTS = ("numbers.js", "stage.js", "plots.js", "live.js", "player.js")
-_PART = re.compile(r"\{\{(\w+)\}\}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,21 +169,10 @@ def _about(scene: Scene, columns: Sequence[Plotted], candidates: Sequence[str]) 
 
 def _page(heading: Heading, data: dict[str, Any]) -> str:
     data |= {"notes": list(heading.notes), "parameters": list(heading.parameters)}
-    script = '\n"use strict";\n' + "".join(_file(name) for name in _SCRIPTS)
-    parts = {
-        "title": html.escape(printable(heading.title)),
-        "facts": html.escape(" · ".join(printable(fact) for fact in heading.facts)),
-        "style": _file("style.css"),
-        "script": script,
-        "digest": script_digest(script),
-        # '<' cannot end the script element
-        "data": json.dumps(plain(data), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
-    }
-    return _PART.sub(lambda found: parts[found[1]], _file("page.html"))
-
-
-def _file(name: str) -> str:
-    return files("amhe_cli.view").joinpath("web", name).read_text(encoding="utf-8")
+    title = f"{heading.title} · amhe view"
+    return web.template("view.html.j2").render(
+        title=title, heading=heading.title, facts=heading.facts, data=web.data(data)
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

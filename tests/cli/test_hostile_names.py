@@ -10,8 +10,8 @@ from click.shell_completion import CompletionItem
 from amhe_cli.cli.main import run
 from amhe_cli.core.text import printable
 from amhe_cli.logs import LogWriter
-from amhe_cli.report.page import template
 from amhe_cli.report.study.formats import StudyTable, markdown
+from amhe_cli.web.page import template
 from tests.conftest import MODELS, write_pendulum_log
 
 ESC = "\x1b]0;title\x07\x1b[31m"

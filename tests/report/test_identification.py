@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_rgb
 from rich.console import Console
 
 from amhe_cli.core.files import plain
@@ -23,7 +22,7 @@ from amhe_cli.estimation.core.result import (
     ParameterResult,
     Reason,
 )
-from amhe_cli.report.figures import _SIGNED, _readable_on, away, correlation_figure, luminance, profile_figure
+from amhe_cli.report.figures import away, ellipse_figure, profile_figure
 from amhe_cli.report.folder import PageError
 from amhe_cli.report.identification import (
     held_out_line,
@@ -35,6 +34,7 @@ from amhe_cli.report.identification_page import identification_page, statements
 from amhe_cli.system.system import System
 from tests.report.synthetic import fit, identification, parameter
 from tests.view.browser import browser, needs_chromium
+from tests.web.figures import panels
 
 ORIGIN = {
     "created": "2030-01-02T03:04:05+00:00",
@@ -91,7 +91,7 @@ def test_a_script_that_got_into_the_page_does_not_run(html: str, tmp_path: Path)
     with browser(tmp_path / "profile") as one:
         one.open((tmp_path / "page.html").as_uri())
         assert one.run("new Promise((done) => setTimeout(() => done(window.ran ?? 0), 200))") == 0
-        assert one.run("document.querySelector('.tip') !== null"), "its own runs"
+        assert one.run("document.querySelector('.panel path') !== null"), "its own runs"
 
 
 @pytest.mark.medium
@@ -114,14 +114,13 @@ def test_the_page_names_the_command_that_shows_its_result() -> None:
     result = identification(**PLAIN)
     common = {"command": "identify", "version": "0.1.0", "seconds": 1.5, "warnings": []}
     record = common | identification_record(result, TRUTH) | {"out": "my result"}
-    assert "<li>amhe view &#39;my result&#39;</li>" in identification_page(result, record, ORIGIN)
+    assert "<li>amhe view &#39;my result&#39;  # look" in identification_page(result, record, ORIGIN)
 
 
 def test_the_page_stays_small(html: str) -> None:
-    assert len(html) < 2_000_000
+    assert len(html) < 200_000
 
 
-@pytest.mark.medium
 def test_the_page_of_a_robot_with_many_joints_stays_small() -> None:
     rng = np.random.default_rng(0)
     fits = []
@@ -134,7 +133,7 @@ def test_the_page_of_a_robot_with_many_joints_stays_small() -> None:
                 replace(one, channel=f"{one.channel}{i}", columns=tuple("abcdefghijkl"), **wide)
                 for i in range(4)
             ]
-    assert len(page(identification(fits=tuple(fits)))) < 2_000_000
+    assert len(page(identification(fits=tuple(fits)))) < 600_000
 
 
 def test_the_page_shows_what_was_found(html: str) -> None:
@@ -146,7 +145,8 @@ def test_the_page_shows_what_was_found(html: str) -> None:
     ):
         assert text in html
     assert "amhe identify &lt;swing&gt;.mcap" in html
-    assert html.count("<svg") == 6  # three clips, profiles, correlations, convergence
+    titles = [panel["title"] for panel in panels(html)]
+    assert titles.count("arm.position") == 3 and {"cost", "friction_loss [N m]", "armature"} <= {*titles}
 
 
 def test_the_page_is_well_formed(html: str) -> None:
@@ -175,12 +175,12 @@ def test_the_same_result_gives_the_same_page(html: str) -> None:
 def test_a_profile_is_seen_to_its_ends_and_a_share_has_no_unit() -> None:
     known = parameter(0)
     assert known.profile is not None
-    figure = str(profile_figure([known, replace(known, name="scale", unit="-")]))
-    assert f"{known.name} [kg]" in figure and ">scale<" in figure and "[-]" not in figure
-    places = re.search("data-axes='([^']*)'", figure)
-    assert places
-    low, high, _ = json.loads(places[1])[0]["x"]
-    assert low < known.profile[0].min() and high > known.profile[0].max()
+    one, other = panels(profile_figure([known, replace(known, name="scale", unit="-")]))
+    assert (one["x"], other["x"]) == ("[kg]", "value")
+    bent, costs = one["lines"]
+    assert costs["y"] == pytest.approx(known.profile[1], abs=1e-3)
+    assert np.interp(known.profile[0], bent["x"], bent["y"]) == pytest.approx(known.profile[1], rel=0.3)
+    assert one["lines"][0]["x"][0] == pytest.approx(known.profile[0].min(), rel=1e-3)
 
 
 def test_the_poorest_result_still_has_a_page() -> None:
@@ -211,7 +211,8 @@ def test_a_prediction_that_runs_away_does_not_spoil_the_picture() -> None:
     runaway[100:] = np.inf
     runaway[50:100] = 1e12
     html = page(identification(fits=(replace(one, initial=runaway),), iterations=()))
-    assert "inf" not in html.split("<svg")[1].split("</svg>")[0].lower()
+    (before,) = (line for line in panels(html)[0]["lines"] if line["name"] == "before")
+    assert before["y"][100:] == [None] * (len(before["y"]) - 100) and before["leads"] is False
 
 
 @pytest.mark.medium
@@ -269,23 +270,13 @@ def test_convergence_of_a_value_near_zero_is_in_prior_sd() -> None:
 
 def test_the_page_says_where_each_interval_comes_from(html: str) -> None:
     """Shares below half a percent are left out, and kinds that no parameter has."""
-    fold = html[html.index("Where each interval comes from") :].split("</table>")[0]
+    fold = html[html.rindex("Where each interval comes from") :].split("</table>")[0]
     assert re.findall(r'<td class="soft">([^<]*)</td>', fold) == [
         "noise 80 %, prior 20 %", "assumed 60 %, noise 40 %", "repeats 40 %, curvature 30 %, noise 30 %",
         "prior 100 %",
     ]  # fmt: skip
-    assert fold.count('style="width:60.0%"') == 1 and "with twice the prior's sd" in unescape(fold)
+    assert fold.count("width:60.0%;--c:var(--mixed)") == 1 and "with twice the prior's sd" in unescape(fold)
     assert "numbers of the model that are no parameters" in fold and "identify.model_error" not in fold
-
-
-def test_digits_of_correlations_can_be_read() -> None:
-    """WCAG asks for a contrast of 4.5 for text; the palest tiles with white digits had 2."""
-    names, values = tuple("abcdefgh"), np.tile([-1.0, -0.86, -0.64, -0.3, 0.0, 0.58, 0.69, 1.0], (8, 1))
-    for value in values[0]:
-        tile, digits = luminance(_SIGNED(0.5 + 0.5 * value)), _readable_on(_SIGNED(0.5 + 0.5 * value))
-        low, high = sorted((tile, luminance(to_rgb(digits))))
-        assert (high + 0.05) / (low + 0.05) > 3.9
-    assert "0.58" in correlation_figure(names, values)
 
 
 @pytest.mark.medium
@@ -293,14 +284,6 @@ def test_dropped_clips_are_named_only_where_there_are_any(html: str) -> None:
     assert "2 because nothing moves in them and 1 because they contain a gap were dropped" in html
     none = page(identification(clips=ClipCount(18, 6, 0, 0), diverged=0, **PLAIN))
     assert "dropped" not in none and "rollouts diverged" not in none
-
-
-def test_poorly_known_combinations_are_folded_away(html: str) -> None:
-    section = html.split("<h2>Combinations</h2>")[1].split("</section>")[0]
-    table, fold = section.split("<details>")
-    assert (
-        "damping * friction_loss^0.07" in table and "damping^-0.07" not in table and "damping^-0.07" in fold
-    )
 
 
 @pytest.mark.medium
@@ -315,36 +298,40 @@ def test_a_dark_screen_gets_a_dark_page_and_paper_a_light_one(html: str, tmp_pat
         one.open((tmp_path / "page.html").as_uri(), dark=True)
         back, ink = one.run(light)
         assert back < 0.2 and ink > 0.8
-        assert "invert" in one.run("getComputedStyle(document.querySelector('svg[data-axes]')).filter")
+        stroke = "getComputedStyle(document.querySelector('.panel path.dots')).stroke"
+        assert one.run(stroke) == "rgb(203, 213, 225)"
         dark = [{"name": "prefers-color-scheme", "value": "dark"}]
         one.ask("Emulation.setEmulatedMedia", media="print", features=dark)
         back, ink = one.run(light)
         assert back == 1.0 and ink < 0.2
-        assert one.run("getComputedStyle(document.querySelector('svg[data-axes]')).filter") == "none"
+        assert one.run(stroke) == "rgb(71, 85, 105)"
 
 
-@pytest.mark.medium
 def test_error_against_horizon_is_in_degrees_and_millimetres() -> None:
     def line(channel: str, column: str, unit: str, errors: list[tuple[float, float]]) -> list[HorizonError]:
         return [
-            HorizonError(channel, column, unit, 0.1 * 2**i, i == len(errors) - 1, 5, 2.0, before, after)
+            HorizonError(channel, column, unit, 0.1 * 2**i, i == len(errors) - 1, 5 - i, 2.0, before, after)
             for i, (before, after) in enumerate(errors)
         ]
 
     horizons = (
-        *line("arm.position", "hinge", "rad", [(0.1, 0.02), (0.2, 0.04), (0.4, np.pi / 180)]),
+        *line("arm.position", "hinge", "rad", [(0.1, 0.02), (0.2, 0.2025), (0.4, np.pi / 180)]),
         *line("box.position", "", "m", [(0.01, 0.002), (0.02, 0.003), (np.inf, 0.004)]),
     )
     known = identification(**PLAIN)
     assert known.held_out is not None
     found = page(replace(known, held_out=replace(known.held_out, horizons=horizons)))
-    section = found.partition("<h2>Error against horizon")[2].partition("</section>")[0]
-    assert "22.9° → 1°" in section and "diverged → 4 mm" in section
-    assert ">hinge [°]<" in section and ">box.position [mm]<" in section
-    assert section.index("<table") < section.index("> before identification<") < section.index("<svg")
-    axes = json.loads(unescape(section.partition("data-axes='")[2].partition("'")[0]))
-    tops = sorted(one["y"][1] for one in axes)
-    assert 20.0 < tops[0] < 22.0 and 22.9 < tops[1] < 25.0, "20 mm and 22.9 degrees at the top"
+    assert "22.9° → 1°" in found and "diverged → 4 mm" in found
+    assert "after 0.1 s, n = 5" in found and "after 0.4 s (end), n = 3" in found
+    assert "5 of 6 errors on data that was not fitted are no larger than before" in found
+    assert found.count('class="worse"') == 1 and '<span class="worse">11.5° → 11.6°</span>' in found
+    shown = {panel["title"]: panel for panel in panels(found)}
+    hinge, box = shown["hinge"], shown["box.position"]
+    assert (hinge["unit"], box["unit"]) == ("°", "mm")
+    dots, joined, *_ = hinge["lines"]
+    assert dots["y"] == pytest.approx([5.73, 11.46, 22.9], rel=1e-2)
+    assert joined["shape"] == "dashed" and len(joined["x"]) == 2, "no line through the point with n = 3"
+    assert box["lines"][0]["y"] == [10.0, 20.0, None]
 
 
 def test_words_warn_when_validation_does_not_improve() -> None:
@@ -358,8 +345,29 @@ def test_words_warn_when_validation_does_not_improve() -> None:
 
 def test_only_what_is_known_better_than_its_parts_is_called_known() -> None:
     text = stated(identification())
-    assert "damping * friction_loss^0.07 (sd 1.2 %)" in text
+    known = "damping to 3.1 % and friction_loss to 42 %, but damping * friction_loss^0.07 to 1.2 %"
+    assert f"{known}: know one better and the other follows." in text
     assert "damping^-0.07" not in text
+
+
+def test_an_ellipse_holds_the_correlation_of_its_pair() -> None:
+    (panel,) = panels(ellipse_figure(identification(), [("damping", "friction_loss")]))
+    before, after, _ = panel["lines"]
+    x, y = (np.log(after[axis]) for axis in ("x", "y"))
+    assert np.corrcoef(x[1:], y[1:])[0, 1] == pytest.approx(-0.83, abs=0.01)
+    assert np.ptp(x) == pytest.approx(2.0 * 2.146 * 0.031, rel=0.01)
+    assert np.ptp(np.log(before["x"])) == pytest.approx(2.0 * 2.146, rel=0.01)
+
+
+def test_the_first_overlay_is_of_the_clip_that_was_missed_most(html: str) -> None:
+    rng = np.random.default_rng(0)
+    near, far = (fit(name, True, rng)[0] for name in ("near", "far"))
+    far = replace(far, initial=far.initial + 1.0)
+    drawn = panels(page(identification(fits=(near, far, *fit("fitted", False, rng)))))
+    first, rest = drawn[:2]
+    assert np.array(first["lines"][0]["y"]) == pytest.approx(np.degrees(far.initial[:, 0]), abs=0.1)
+    assert first["height"] > 200 and rest["title"] == "measured − after" and first["unit"] == "°"
+    assert rest["marks"][0]["at"] == pytest.approx([-np.degrees(0.01), np.degrees(0.01)])
 
 
 def test_words_name_every_verdict_that_is_not_identified() -> None:
@@ -367,7 +375,7 @@ def test_words_name_every_verdict_that_is_not_identified() -> None:
     assert "damping: determined by the logs if the gain of servo, 4, is right" in text
     assert "friction_loss: the logs narrow it down: use" in text
     assert "armature: the logs hardly narrow it down: the value is your prior" in text
-    assert "arm.velocity are 3.6 times the declared noise" in text
+    assert "Residuals over noise: arm.velocity 3.6." in text and "Misfit 3.6 times the noise." in text
     assert "arm.position" not in text
 
 

@@ -2,62 +2,55 @@
 
 import io
 
-from markupsafe import Markup
 from rich.console import Console
 
-from amhe_cli.report.page import Fold, Key, Origin, Page, Section, Statement
+from amhe_cli.report.page import Section, Statement, page, result_page
 from amhe_cli.report.tables import NUMBER, Table, rich_table
 
 TABLE = Table(("name", "mass", "goal"), ("name", NUMBER, ""), [("a<b", "4.0", "NO"), ("c", "5.0", "yes")])
+PROVENANCE = {
+    "created": "2030-01-02T03:04:05+00:00", "command": "amhe run <t4>", "seed": 3,
+    "versions": {"amhe": "0.1.0", "mujoco": "4.0.0"}, "logs": {"log.mcap": "ab" * 32},
+}  # fmt: skip
 
 
-def page(*sections: Section, warnings: tuple[str, ...] = ()) -> str:
-    origin = Origin(("amhe identify <log>",), {"seed": 3}, {"log.mcap": "ab" * 32})
-    statements = [Statement("bad", "The robot fell.")]
-    return Page("run", "T1 & more", ("1 log",), "Failed.", statements, sections, warnings, origin).html()
+def made(*sections: Section, warnings: tuple[str, ...] = ()) -> str:
+    return page(
+        "run", title="T1 & more", facts=("1 log",), headline="Failed.",
+        statements=[Statement("bad", "The robot fell.")], sections=sections, warnings=warnings,
+    )  # fmt: skip
 
 
-def test_texts_are_escaped_and_figures_are_not() -> None:
-    html = page(Section("Motion", figure=Markup("<svg></svg>"), table=TABLE, items=["<li>"]))
-    assert "<h1>T1 &amp; more</h1>" in html
-    assert "a&lt;b" in html
-    assert "<li>&lt;li&gt;</li>" in html
-    assert "amhe identify &lt;log&gt;" in html
-    assert "<figure><svg></svg></figure>" in html
+def test_texts_are_escaped() -> None:
+    html = made(Section("Motion", table=TABLE, items=["<li>"]))
+    assert "<h1>T1 &amp; more</h1>" in html and "a&lt;b" in html and "<li>&lt;li&gt;</li>" in html
 
 
 def test_warnings_are_listed_and_linked_from_the_summary() -> None:
-    assert "warning" not in page()
-    html = page(warnings=("a gap", "a jump"))
-    assert '<a href="#warnings">2 warnings</a>' in html
-    assert html.index("a gap") > html.index('id="warnings"')
+    assert "warning" not in made(Section("Motion"))
+    html = made(Section("Motion"), warnings=("a gap", "a jump"))
+    assert '<a href="#warnings">2 warnings</a>' in html and html.index("a gap") > html.index('id="warnings"')
 
 
-def test_what_a_section_lacks_leaves_nothing_behind() -> None:
-    html = page(Section("Empty")).partition("<h2>Empty</h2>")[2].partition("</section>")[0]
-    assert html.strip() == ""
+def test_contents_name_every_part_of_a_long_page() -> None:
+    html = made(*(Section(name) for name in ("Held out", "Data", "What is missing", "Next")))
+    for name, anchor in (("Held out", "held-out"), ("What is missing", "what-is-missing")):
+        assert f'<a href="#{anchor}">{name}</a>' in html and f'id="{anchor}"' in html
+
+
+def test_how_it_was_made_is_said_last() -> None:
+    record = {"command": "run", "version": "0.1.0", "warnings": ["a gap"]}
+    html = result_page(
+        record, PROVENANCE, title="T", facts=(), headline="Done.", statements=(), sections=[Section("Motion")]
+    )
+    parts = ("Motion", "Warnings", "amhe run &lt;t4&gt;", "SHA-256 of log.mcap", "ab" * 32)
+    assert sorted(parts, key=html.rindex) == list(parts)
+    assert "2030-01-02 03:04:05 UTC" in html
 
 
 def test_missed_goals_stand_out() -> None:
-    html = page(Section("Goals", table=TABLE, name="goals"))
-    assert '<section id="goals">' in html
+    html = made(Section("Goals", table=TABLE))
     assert html.count(' missed">NO') == html.count(' reached">yes') == 1
-    assert '<td class="number">4.0</td>' in html
-
-
-def test_a_legend_shows_lines_dots_and_plain_words() -> None:
-    keys = (
-        Key("box", "red"),
-        Key("path", "blue", "dashed"),
-        Key("measured", "grey", "dot"),
-        Key("n", shape=""),
-    )
-    html = page(Section("Motion", legend=keys, folds=[Fold("clip", Markup("<b>x</b>"), open=False)]))
-    assert 'style="border-top:2px solid red"' in html
-    assert 'style="border-top:2px dashed blue"' in html
-    assert '<i class="dot" style="background:grey">' in html
-    assert "<span>n</span>" in html
-    assert "<details>" in html
 
 
 def test_a_table_for_a_terminal_has_its_numbers_flush_right() -> None:

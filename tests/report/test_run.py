@@ -9,6 +9,7 @@ from rich.console import Console
 
 from amhe_cli.core.floor import Floor
 from amhe_cli.report.run import TaskFacts, measure_table, print_run, run_page, statements, verdict
+from tests.web.figures import panels
 
 RECORD: dict[str, Any] = {
     "error": None, "trip": None,
@@ -95,7 +96,7 @@ def page(columns: dict[str, np.ndarray]) -> str:
 
 def test_a_run_without_a_cycle_has_a_page_without_figures() -> None:
     html = page({})
-    assert "<svg" not in html
+    assert not panels(html)
     assert "T4: a push" in html
     assert "distance of the box from its goal" in html
 
@@ -107,9 +108,9 @@ def test_the_page_draws_path_motion_belief_cost_and_planning() -> None:
         "effective_samples belief/box_mass truth/box_mass"
     )
     html = page({name: np.linspace(0.1, 1.0, 50) for name in names.split()})
-    assert html.count("<svg") == 5
-    assert "<h2>Belief and truth</h2>" in html
+    titles = ["y [m]", "forward speed of the robot", "box from the goal", "box left of its path", "box_mass"]
+    assert [panel["title"] for panel in panels(html)] == [*titles, "cycles", "effective samples"]
+    assert {line.get("name") for line in panels(html)[4]["lines"]} == {"true", "believed"}
     robot = page({name: np.linspace(0.1, 1.0, 50) for name in names.split() if "truth" not in name})
-    assert "<h2>Belief</h2>" in robot
-    assert "true</span>" not in robot
+    assert {line.get("name") for line in panels(robot)[4]["lines"]} == {"believed"}
     assert "from x = 1.5 m on the floor friction is 0.8" in html

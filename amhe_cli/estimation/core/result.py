@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief import Belief
 
 #: Verdicts, best first, and what each means to the user.
@@ -229,10 +229,9 @@ class Fit:
         channel: Name of the channel, such as 'cube.position'.
         unit: Unit of the values.
         columns: Names of the columns, length k.
-        time: Time from the clip's start [s], shape (T,).
+        time: Times of the measurements, from the clip's start [s], shape (T,).
         measured, initial, identified: Values, shape (T, k); for rotations, rotation vectors relative
             to the clip's first measured orientation.
-        valid: Rows where a measurement really was taken, shape (T,).
         noise: Noise sd of one column.
         held_out: The clip was not fitted.
     """
@@ -245,7 +244,6 @@ class Fit:
     measured: FloatArray
     initial: FloatArray
     identified: FloatArray
-    valid: BoolArray
     noise: float
     held_out: bool
 

@@ -55,7 +55,6 @@ def fit_of(observed: Observed, predicted: FloatArray, window: Window, i: int, he
         measured=measured,
         initial=initial,
         identified=identified,
-        valid=np.ones(int(keep.sum()), dtype=bool),
         noise=float(np.mean(observed.noise)),
         held_out=held_out,
     )

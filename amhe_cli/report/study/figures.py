@@ -15,8 +15,8 @@ from matplotlib.ticker import LogLocator
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.floor import Floor, outline
-from amhe_cli.report.figures import IDENTIFIED, INITIAL, INK, MUTED, Grid, styled, svg
 from amhe_cli.report.page import Section
+from amhe_cli.report.study.style import IDENTIFIED, INITIAL, INK, MUTED, Grid, styled, svg
 from amhe_cli.report.study.tables import words_of
 from amhe_cli.study.ablations import Ablation
 from amhe_cli.study.estimates import change_of
@@ -67,7 +67,7 @@ def drawn(groups: Groups, tried: Sequence[Ablation], floors: Floors, folder: Pat
             element = svg(figure)
             figure.savefig(folder / f"{name}.png", dpi=200, facecolor="white", metadata={"Software": None})
             figure.savefig(folder / f"{name}.pdf", metadata={"CreationDate": None})
-        sections.append(Section(title, caption, figure=element, natural=True, name=name))
+        sections.append(Section(title, caption, figure=element))
     return sections
 
 

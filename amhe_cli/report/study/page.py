@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 
 from amhe_cli.report.numbers import MISSING
-from amhe_cli.report.page import Origin, Page, Section, Statement
+from amhe_cli.report.page import Section, Statement, page
 from amhe_cli.report.study.formats import StudyTable
 from amhe_cli.study.cells import words
 from amhe_cli.study.store import Study
@@ -36,16 +36,17 @@ def study_page(
     """
     cells = f"{sum(group.n for group in groups)} cells"
     code, machine = (defaultdict(lambda: MISSING, told) for told in (study.code, study.machine))
-    sections = [Section(t.title, table=t.table, note=t.note, name=t.name) for t in tables] + list(figures)
+    sections = [Section(t.title, table=t.table, note=t.note) for t in tables] + list(figures)
     if failures:
         items = [f"{title}: {reason}" for title, reason in failures.items()]
-        sections.append(Section("Cells without a result", items=items, name="failures"))
+        sections.append(Section("Cells without a result", items=items))
     goals = next((table.rows for table in tables if table.name == "goals"), ())
     reached = sum(row[-1] != "NO" for row in goals)
     seeds = sorted({group.n for group in groups.at_base()})
     number = " to ".join(str(n) for n in dict.fromkeys((*seeds[:1], *seeds[-1:])))
-    return Page(
-        command="eval",
+    sections.append(Section("How it was made", items=study.commands, files=True, note=_ORIGIN))
+    return page(
+        "eval",
         title="Tasks by beliefs by seeds",
         facts=(
             cells,
@@ -57,9 +58,7 @@ def study_page(
         headline=f"{reached} of {len(goals)} goals reached, with {number} seeds." if goals else f"{cells}.",
         statements=_statements(study, failures, goals),
         sections=sections,
-        warnings=(),
-        origin=Origin(study.commands, note=_ORIGIN),
-    ).html()
+    )
 
 
 def _statements(study: Study, failures: Mapping[str, str], goals: Sequence[Sequence[str]]) -> list[Statement]:

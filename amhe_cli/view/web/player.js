@@ -1,15 +1,15 @@
 // The page: time, clips, layers; and in a live page the frames that arrive.
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
 const RAMP = [[0.17, 0.42, 0.69], [0.22, 0.7, 0.67], [0.93, 0.79, 0.29], [0.87, 0.29, 0.16]];
-const $ = (id) => document.getElementById(id);
-const made = (name, more = {}, ...children) => { const one = Object.assign(document.createElement(name), more); one.append(...children); return one; };
+// Colours of the ghosts, by their names in style.css; any other one is that of what was identified.
+const GHOSTS = { before: "before", predicted: "before", yours: "violet" };
 
 class Player {
   constructor(data) {
     this.data = data; this.now = 0; this.speed = 1; this.playing = false; this.take = null; this.row = 0; this.most = 0.01;
     this.decode();
     this.shown = new Set(["measured", ...data.candidates]);
-    this.plots = new Plots($("panels"), (time) => this.seek(time));
+    this.plots = new Plots($("panels"), { seek: (time) => this.seek(time) });
     const failed = (text) => { $("failure").hidden = !text; $("failure").textContent = text; };
     try { this.stage = Object.assign(new Stage($("scene"), data), { changed: () => this.dirty = true, failed }); } catch (error) { failed(error.message); }
     for (const note of data.notes) $("notes").append(made("li", { textContent: note }));
@@ -35,17 +35,16 @@ class Player {
   palette() {
     const style = getComputedStyle(document.documentElement), color = (name) => style.getPropertyValue("--" + name).trim();
     const parts = (name) => { const text = color(name); return [1, 3, 5].map((i) => parseInt(text.slice(i, i + 2), 16) / 255); };
-    this.colors = Object.fromEntries(["ink", "soft", "rule", "blue", "amber", "dots", "gap", "pick"].map((name) => [name, color(name)]));
     this.solid = { sky: parts("sky"), ground: parts("ground"), grid: parts("grid"), dark: matchMedia("(prefers-color-scheme: dark)").matches };
-    this.tints = this.data.candidates.map((_, i, all) => parts(i === all.length - 1 && (all.length > 1 || all[0] !== "nominal") ? "blue" : "amber"));
+    this.tints = this.data.candidates.map((name) => parts(ghost(name)));
+    this.colors = { gap: color("gap"), event: color("amber") };
   }
-  lineColor(i) { const all = this.data.candidates; return i === all.length - 1 && (all.length > 1 || all[0] !== "nominal") ? this.colors.blue : this.colors.amber; }
   layers() {
     const box = $("layers");
     for (const [i, name] of ["measured", ...this.data.candidates].entries()) {
       const check = made("input", { type: "checkbox", checked: true });
       check.addEventListener("change", () => { check.checked ? this.shown.add(name) : this.shown.delete(name); this.redraw(); });
-      const dot = made("i"); dot.style.background = i ? this.lineColor(i - 1) : this.colors.dots;
+      const dot = made("i"); dot.style.background = ink(i ? ghost(name) : "measured");
       box.append(made("label", {}, check, dot, name));
     }
     for (const [id, text] of [["forces", "contact forces"], ["traces", "sampled plans"]]) {
@@ -116,29 +115,27 @@ class Player {
   }
   panels() {
     const name = $("channel").value;
-    const own = [...this.recording.curves.values()].filter((one) => one.group === name).map((one) => ({ title: one.name, unit: one.unit, lines: () => [{ ...one, color: this.colors.blue }] }));
+    const own = [...this.recording.curves.values()].filter((one) => one.group === name).map((one) => ({ title: one.name, unit: one.unit, lines: () => [{ ...one, name: "value", x: one.times, y: one.values, color: "after" }] }));
     const columns = this.data.columns.map((column, k) => ({ ...column, k })).filter((column) => column.channel === name);
-    this.plots.show(own.length ? own : columns.map((column) => ({ title: column.name === name ? name : column.name, unit: column.unit, lines: (from, to) => this.lines(column.k, from, to) })));
+    this.plots.show(own.length ? own : columns.map((column) => ({ title: column.name === name ? name : column.name, unit: column.unit === "rad" ? "°" : column.unit, height: 130, lines: (from, to) => this.lines(column.k, from, to) })));
   }
-  // What the colours of the plots mean.
-  legend() {
-    const { blue, dots } = this.colors, own = [...this.recording.curves.values()].filter((one) => one.group === $("channel").value);
-    const band = own.some((one) => one.lower) ? [["90 % interval", `color-mix(in srgb, ${blue} 25%, transparent)`]] : [];
-    const keys = own.length ? [["value", blue], ...band] : [["measured", dots], ...this.data.candidates.map((name, i) => [name, this.lineColor(i)])];
-    $("plotkey").replaceChildren(...keys.map(([name, color]) => { const dot = made("i"); dot.style.background = color; return made("span", {}, dot, name); }));
-  }
+  // Curves of column k in degrees where it is an angle: what was measured, and each ghost over its clips.
   lines(k, from, to) {
     const lines = [], inside = this.recording.takes.filter((take) => take.stop >= from && take.start <= to && (!this.take || take === this.take));
-    const curve = (track, start, more) => {
-      const times = [], values = [];
-      for (let i = 0; i < track.count; i++) { times.push(start + i * track.step); values.push(track.values[i * track.width + k]); }
-      lines.push({ times, values, ...more });
+    const factor = this.data.columns[k].unit === "rad" ? 180 / Math.PI : 1;
+    const curve = (parts, more) => {
+      const x = [], y = [];
+      for (const [track, start] of parts) {
+        if (x.length) { x.push(start); y.push(NaN); }
+        for (let i = 0; i < track.count; i++) { x.push(start + i * track.step); y.push(factor * track.values[i * track.width + k]); }
+      }
+      lines.push({ x, y, ...more });
     };
-    const dots = { color: this.colors.dots, dots: true, label: "measured" };
-    if (this.shown.has("measured")) { if (this.take) curve(this.take.tracks[0], this.take.start, dots); else curve(this.recording.track, 0, dots); }
-    for (const take of inside) take.tracks.slice(1).forEach((track, i) => {
-      if (track && this.shown.has(this.data.candidates[i])) curve(track, take.start, { color: this.lineColor(i), dash: i === 0 && this.data.candidates.length > 1, label: this.data.candidates[i], frames: false });
+    this.data.candidates.forEach((name, i) => {
+      const parts = inside.filter((take) => take.tracks[i + 1]).map((take) => [take.tracks[i + 1], take.start]);
+      if (this.shown.has(name)) curve(parts, { name, color: ghost(name), shape: i === 0 && this.data.candidates.length > 1 ? "dashed" : "line", leads: false });
     });
+    if (this.shown.has("measured")) curve([this.take ? [this.take.tracks[0], this.take.start] : [this.recording.track, 0]], { name: "measured", color: "measured", shape: "dots" });
     return lines;
   }
   takeAt(time) {
@@ -193,7 +190,7 @@ class Player {
     const [from, to] = this.span();
     $("next").hidden = !this.takes.length && !this.recording.events.length;
     $("next").textContent = !this.take && this.recording.events.length ? "next jump" : "next clip";
-    this.legend(); this.plots.draw(this.data.live && !this.take ? Math.max(from, to - 30) : from, to, this.colors); this.marks(); this.paint();
+    this.plots.draw([this.data.live && !this.take ? Math.max(from, to - 30) : from, to]); this.marks(); this.paint();
   }
   marks() {
     const canvas = $("marks"), ratio = Math.min(window.devicePixelRatio || 1, 2), width = canvas.clientWidth, height = canvas.clientHeight;
@@ -207,7 +204,7 @@ class Player {
     }
     paper.fillStyle = this.colors.gap;
     for (const [a, b] of this.recording.gaps) paper.fillRect(x(a), 0, Math.max(x(b) - x(a), 1), height);
-    paper.fillStyle = this.colors.amber;
+    paper.fillStyle = this.colors.event;
     for (const event of this.recording.events) paper.fillRect(x(event), 0, 2, height);
   }
   paint() {
@@ -257,6 +254,7 @@ class Player {
   }
 }
 
+const ghost = (name) => GHOSTS[name] ?? "after";
 function curveOf(curve) {
   const numbers = (text) => text === null ? null : Array.from(floats(text));
   return { ...curve, times: numbers(curve.times), values: numbers(curve.values), lower: numbers(curve.lower), upper: numbers(curve.upper) };

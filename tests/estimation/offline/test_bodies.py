@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from amhe_cli.estimation.offline.bodies import body_numbers
-from amhe_cli.report.bodies import body_table
 from amhe_cli.report.identification import identification_record
+from amhe_cli.report.parameters import body_table
 from amhe_cli.system.system import System
 from tests.report.synthetic import identification
 from tests.report.test_identification import page

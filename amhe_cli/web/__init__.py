@@ -1,0 +1,1 @@
+"""What all pages share: their frame, their style, and figures of curves with the script that draws them."""

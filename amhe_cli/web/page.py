@@ -1,0 +1,51 @@
+"""Templates of pages that need no network: everything they show, and every script they run, is in them."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from amhe_cli.core.files import plain
+from amhe_cli.core.text import printable, script_digest
+
+
+@cache
+def template(name: str) -> Any:
+    """A template of this room, of reports or of views."""
+    environment = Environment(
+        loader=ChoiceLoader(
+            [
+                PackageLoader("amhe_cli.web", "assets"),
+                PackageLoader("amhe_cli.report"),
+                PackageLoader("amhe_cli.view", "web"),
+            ]
+        ),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_shown,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["digest"] = script_digest
+    return environment.get_template(name)
+
+
+def _shown(value: object) -> object:
+    """What stands in the page for a value: a text without control characters; what is HTML stays as it is."""
+    return printable(value, keep="\n") if type(value) is str else value
+
+
+def asset(path: str) -> Markup:
+    """A file of the package's pages, such as 'view/web/stage.js', to stand in a page as it is."""
+    return Markup(files("amhe_cli").joinpath(*path.split("/")).read_text(encoding="utf-8"))
+
+
+def data(values: Any) -> Markup:
+    """Values as JSON in a script element, which a '<' in them cannot end."""
+    text = json.dumps(plain(values), allow_nan=False, separators=(",", ":"))
+    return Markup(text.replace("<", "\\u003c"))

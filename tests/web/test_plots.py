@@ -1,0 +1,140 @@
+"""Figures as data, and as plots.js draws them in a real browser."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from amhe_cli.report.page import Section, page
+from amhe_cli.web.plots import Curve, Mark, Panel, color_of, figure, thinned
+from tests.view.browser import Browser, browser, needs_chromium
+from tests.web.figures import panels
+
+
+def html(*of: Panel) -> str:
+    section = Section("Motion", figure=figure(of))
+    return page("run", title="T", facts=(), headline="It ran.", statements=(), sections=[section])
+
+
+def test_values_keep_four_digits_of_their_range_and_gaps_stay_open() -> None:
+    time = np.linspace(1e3, 1e3 + 1.0, 5)
+    (panel,) = panels(html(Panel("a<b", [Curve(time, np.array([0.0, 1 / 3, np.nan, np.inf, 2.0]))])))
+    (line,) = panel["lines"]
+    assert line["y"] == [0.0, 0.3333, None, None, 2.0]
+    assert line["x"] == pytest.approx(time, abs=1e-4)
+    assert panel["title"] == "a<b" and "a<b" not in html(Panel("a<b", []))
+
+
+def test_a_long_line_keeps_its_peaks() -> None:
+    y = np.zeros(100_000)
+    y[70_001], y[200], y[50_000:60_000] = 5.0, -3.0, np.nan
+    x, kept = thinned(np.arange(y.size, dtype=float), y)
+    assert len(x) <= 302 and np.nanmax(kept) == 5.0 and np.nanmin(kept) == -3.0 and np.isnan(kept).any()
+
+
+def test_no_two_of_many_lines_are_alike() -> None:
+    assert len({tuple(color_of(i).values()) for i in range(24)}) == 24
+
+
+def test_no_panels_leave_nothing() -> None:
+    assert figure([]) == ""
+
+
+@pytest.fixture(scope="module")
+def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with browser(tmp_path_factory.mktemp("profile")) as one:
+        yield one
+
+
+@pytest.fixture
+def opened(chromium: Browser, tmp_path: Path) -> Browser:
+    time = np.linspace(0.0, 2.0, 21)
+    lines = [
+        Curve(time, 0.5 * time, "before", "before", "dashed", leads=False),
+        Curve(time, time, "after"),
+        Curve(time[::5], 1.1 * time[::5], "measured", "measured", "dots"),
+    ]
+    away = np.array([0.0, 1e9, 1.0])
+    both = [
+        Panel("angle", lines, "°", marks=[Mark((0.5, 1.0), "held out")]),
+        Panel("a cause", [Curve(time, time**2, "force", "measured", "dots")], x="speed [m/s]"),
+        Panel(
+            "far", [Curve(time, time, "after"), Curve(np.array([0.0, 1.0, 2.0]), away, "before", leads=False)]
+        ),
+    ]
+    (tmp_path / "page.html").write_text(html(*both), encoding="utf-8")
+    chromium.open((tmp_path / "page.html").as_uri())
+    chromium.run("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    return chromium
+
+
+def pointed(one: Browser, panel: int, x: float, kind: str = "pointermove") -> Any:
+    """The numbers above a panel with the pointer at a place of its x."""
+    return one.run(
+        f"(() => {{ const svg = document.querySelectorAll('.panel > svg')[{panel}];"
+        "const { left, width, top } = svg.getBoundingClientRect();"
+        f"const at = {{ clientX: left + LEFT + {x} * (width - LEFT - RIGHT), clientY: top + 40 }};"
+        f"svg.dispatchEvent(new PointerEvent('{kind}', at));"
+        "return [...document.querySelectorAll('.caption')].map((one) => one.lastChild.textContent); })()"
+    )
+
+
+pytestmark = pytest.mark.medium
+
+
+@needs_chromium
+def test_the_pointer_reads_the_nearest_sample_of_each_line_and_their_difference(opened: Browser) -> None:
+    first, _, far = pointed(opened, 0, 0.52)  # measured at 0, 0.5, 1, 1.5 and 2
+    assert first == "1.000 s0.5001.0001.100Δ 0.100"
+    assert far.startswith("1.000 s"), "panels over the same x go together"
+    assert opened.run("document.querySelectorAll('.panel circle').length") == 5
+
+
+@needs_chromium
+def test_panels_over_no_time_read_the_sample_that_is_nearest_to_the_pointer(opened: Browser) -> None:
+    texts = pointed(opened, 1, 0.98)
+    assert texts[0] == "" and texts[1].startswith("1.900 m/s3.61")
+
+
+@needs_chromium
+def test_what_runs_away_leaves_the_picture_and_flattens_nothing(opened: Browser) -> None:
+    top = opened.run("Math.max(...[...document.querySelectorAll('.panel')[2].querySelectorAll('.axes text')]"
+                     ".map((one) => Number(one.textContent)).filter(Number.isFinite))")  # fmt: skip
+    assert 2.0 <= top < 10.0
+
+
+@needs_chromium
+def test_dragging_zooms_and_a_double_click_shows_all_again(opened: Browser) -> None:
+    texts = "document.querySelector('.panel svg').querySelectorAll('.axes text')"
+    ends = f"[...{texts}].map((one) => one.textContent)"
+    whole = opened.run(ends)
+    opened.run("Element.prototype.setPointerCapture = () => {}")
+    pointed(opened, 0, 0.25, "pointerdown")
+    pointed(opened, 0, 0.5, "pointerup")
+    zoomed = opened.run(ends)
+    assert zoomed != whole and "0.6" in zoomed and "2.0" not in zoomed
+    pointed(opened, 0, 0.5, "dblclick")
+    assert opened.run(ends) == whole
+
+
+@needs_chromium
+def test_a_legend_says_what_each_shape_is(opened: Browser) -> None:
+    texts, shapes = (
+        opened.run(f"[...document.querySelectorAll('.legend span')].map((one) => one.{what})")
+        for what in ("textContent", "firstChild.className")
+    )
+    assert texts == ["before", "after", "measured", "held out", "force"]
+    assert shapes == ["dashed", "line", "dots", "patch", "dots"]
+
+
+@needs_chromium
+def test_an_axis_has_at_least_two_numbers_and_never_too_many(opened: Browser) -> None:
+    counts = opened.run(
+        "(() => { const found = []; for (let high = 1; high < 100; high *= 1.01) "
+        "for (const low of [0, 0.37 * high]) found.push(ticks(low, high, 3).length); return found; })()"
+    )
+    assert min(counts) == 2 and max(counts) <= 6
