@@ -194,3 +194,15 @@ class Window:
     def duration(self) -> float:
         """Time from the first instant to the last [s]."""
         return self.length * self.log.dt
+
+    def alone(self, before: int) -> Window:
+        """The same window of a log that has nothing after it, and at most so many rows before it."""
+        rows = slice(max(0, self.start - before), self.stop + 1)
+        series = {
+            key: replace(
+                one, values=one.values[rows], valid=one.valid[rows], sampled=one.sampled[rows]
+            ) for key, one in self.log.series.items()
+        }  # fmt: skip
+        begun = self.log.start_ns + round(1e9 * rows.start * self.log.dt)
+        log = replace(self.log, series=series, start_ns=begun)
+        return Window(log, self.start - rows.start, self.length)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -32,16 +33,22 @@ _KEPT_BYTES = 256 * 2**20
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Forces:
-    """Generalised forces at T instants of a motion [N or N m].
+    """Generalised forces at T instants of a motion [N or N m], shape (T, nv) where nothing else is said.
 
     Args:
-        needed: What the motion needs beside springs, dampers and gravity compensation, M a + c + g - passive,
-            shape (T, nv). Dry friction, contacts, limits and equalities are not in it.
-        given: What actuators and applied forces give, shape (T, nv).
+        needed: What the motion needs beside springs, dampers and gravity compensation, M a + c + g - passive.
+            Dry friction, contacts, limits and equalities are not in it.
+        given: What actuators and applied forces give.
+        by: What each actuator gives, shape (T, actuators, nv).
+        friction: Size of the dry friction, which has no part in the others.
+        mass: The mass matrix, shape (T, nv, nv).
     """
 
     needed: FloatArray
     given: FloatArray
+    by: FloatArray
+    friction: FloatArray
+    mass: FloatArray
 
     @property
     def missing(self) -> FloatArray:
@@ -56,28 +63,31 @@ def forces_along(
     qacc: FloatArray,
     inputs: FloatArray | None = None,
     input_spec: int = 0,
+    act: FloatArray | None = None,
 ) -> Forces:
     """Forces along a motion; a state and an instant are about 10 microseconds for an arm.
 
     Args:
         model: The model, its parameters written into it (`ModelEdits.apply`).
         qpos, qvel, qacc: The motion, shape (T, nq), (T, nv) and (T, nv).
-        inputs: Inputs at the same instants, shape (T, nu); None: nothing is given. Activations of filters
-            have followed their commands for long.
+        inputs: Inputs at the same instants, shape (T, nu); None: nothing is given.
         input_spec: mjtState bits of the inputs.
+        act: Activations of actuators, shape (T, na); None: they have followed their commands for long.
     """
-    free, drive = with_servos(unconstrained(model))
-    data, count = mujoco.MjData(free), len(qpos)
-    needed, given = np.empty((count, model.nv)), np.zeros((count, model.nv))
-    act = None
-    if inputs is not None and model.na and (at := controls(model, input_spec)) is not None:
+    (free, drive), (count, nv) = with_servos(unconstrained(model)), qvel.shape
+    data, outputs, gear = mujoco.MjData(free), list(free.actuator_outadr), GearFriction.of(model)
+    moment, mass = np.zeros((free.nout, nv)), np.empty((count, nv, nv))
+    needed, given, by = np.empty((count, nv)), np.zeros((count, nv)), np.zeros((count, free.nactuator, nv))
+    friction = np.tile(model.dof_frictionloss, (count, 1))
+    if act is None and inputs is not None and model.na and (at := controls(model, input_spec)) is not None:
         act = first_activations(model, qpos, inputs[:, at])
     for k in range(count):
-        if inputs is not None:
+        if inputs is not None and inputs.shape[1]:
             mujoco.mj_setState(free, data, inputs[k], input_spec)
         data.qpos, data.qvel, data.qacc = qpos[k], qvel[k], qacc[k]
         mujoco.mj_inverse(free, data)
         needed[k] = data.qfrc_inverse
+        mujoco.mj_fullM(free, data, mass[k])
         if inputs is None:
             continue
         if act is not None:
@@ -88,7 +98,37 @@ def forces_along(
         for body in np.flatnonzero(data.xfrc_applied.any(axis=1)):
             force, torque = np.split(data.xfrc_applied[body], 2)
             mujoco.mj_applyFT(free, data, force, torque, data.xipos[body], body, given[k])
-    return Forces(needed, given)
+        if outputs:  # of several of an actuator the first
+            rows = data.moment_rownnz, data.moment_rowadr, data.moment_colind
+            mujoco.mju_sparse2dense(moment, data.actuator_moment, *rows)
+            by[k] = (moment * data.actuator_force[:, None])[outputs]
+        if gear is not None:
+            smooth = data.qfrc_passive - data.qfrc_bias + given[k] - data.qfrc_damper
+            motor = data.qfrc_actuator[gear.dofs]
+            friction[k, gear.dofs] = gear.bound(
+                numbers=model.numeric_data[gear.at],
+                dry=model.dof_frictionloss[gear.dofs],
+                motor=motor,
+                external=smooth[gear.dofs] - motor,
+                speed=data.qvel[gear.dofs],
+            )
+    return Forces(needed, given, by, friction, mass)
+
+
+def forces_as_stepped(
+    model: mujoco.MjModel, qpos: FloatArray, qvel: FloatArray, qacc: FloatArray, *driven: Any
+) -> Forces:
+    """`forces_along` as a rollout computes them.
+
+    Its speed is half a time step old (Euler), or half a step ahead (implicit); Euler's joint damping is
+    implicit.
+    """
+    kind, ahead = int(model.opt.integrator), 0.5 * model.opt.timestep
+    euler, runge = int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_RK4)
+    speed = qvel + {euler: -ahead, runge: 0.0}.get(kind, ahead) * qacc
+    found = forces_along(model, qpos, speed, qacc, *driven)
+    implicit = 2.0 * ahead * model.dof_damping * (kind == euler)
+    return replace(found, needed=found.needed + implicit * qacc)
 
 
 def unconstrained(model: mujoco.MjModel) -> mujoco.MjModel:

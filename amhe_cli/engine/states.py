@@ -12,10 +12,12 @@ import mujoco
 import numpy as np
 
 from amhe_cli.core import rotations
-from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.arrays import BoolArray, FloatArray
 
 #: Distance from which geoms count as far apart [m].
 _FAR = 100.0
+#: Surfaces that are nearer [m] may touch.
+_NEAR = 0.003
 
 
 def integrated(model: mujoco.MjModel, qpos: FloatArray, delta: FloatArray) -> FloatArray:
@@ -116,6 +118,29 @@ def without_contacts(model: mujoco.MjModel) -> mujoco.MjModel:
     changed = copy.copy(model)
     changed.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     return changed
+
+
+def filters(model: mujoco.MjModel) -> list[tuple[int, float]]:
+    """Places in the activations, and time constants, of commands that act through a filter of first order."""
+    kinds = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
+    rows = [row for row in range(model.nactuator) if int(model.actuator_dyntype[row]) in kinds]
+    return [(int(model.actuator_actadr[r]), max(float(model.actuator_dynprm[r, 0]), 1e-9)) for r in rows]
+
+
+def apart(model: mujoco.MjModel, qpos: FloatArray) -> BoolArray:
+    """At which positions (n, nq) nothing touches and no joint is at an end of its range, shape (n,)."""
+    clear = np.ones(len(qpos), dtype=bool)
+    for joint in map(int, np.flatnonzero(model.jnt_limited)):
+        if int(model.jnt_type[joint]) in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+            low, high = model.jnt_range[joint]
+            clear &= (qpos[:, model.jnt_qposadr[joint]] > low) & (qpos[:, model.jnt_qposadr[joint]] < high)
+    if collides(model):
+        data = mujoco.MjData(model)
+        for k, row in enumerate(qpos):
+            data.qpos = row
+            mujoco.mj_fwdPosition(model, data)
+            clear[k] &= not (data.ncon and (data.contact.dist < _NEAR).any())
+    return clear
 
 
 def touching(model: mujoco.MjModel, qpos: FloatArray) -> bool:

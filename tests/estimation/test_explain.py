@@ -11,10 +11,12 @@ import pytest
 
 import amhe_cli as amhe
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.engine.shares import shares_along
+from amhe_cli.engine.inverse import forces_along
 from amhe_cli.estimation.core.result import Missing
-from amhe_cli.estimation.explain.causes import causes
+from amhe_cli.estimation.explain.candidate import Scene
+from amhe_cli.estimation.explain.drives import drive_causes
 from amhe_cli.estimation.explain.explain import explain
+from amhe_cli.estimation.explain.joints import joint_causes
 from amhe_cli.estimation.explain.regression import CauseColumns, Regression, blocks_of, memory_of
 from amhe_cli.estimation.explain.unexplained import unexplained
 from amhe_cli.estimation.offline.clips import whole
@@ -148,7 +150,7 @@ def test_friction_of_gears_is_no_missing_force() -> None:
     )
     one = np.ones((1, 1))
     control = int(mujoco.mjtState.mjSTATE_CTRL)
-    found = shares_along(model, 0.0 * one, one, 0.0 * one, 3.0 * one, control, np.zeros((1, 0)))
+    found = forces_along(model, 0.0 * one, one, 0.0 * one, 3.0 * one, control)
 
     assert found.friction[0, 0] == pytest.approx(0.1 + 0.2 * abs(2.0 * 9.81 * 0.5 - 3.0), rel=1e-6)
 
@@ -162,7 +164,8 @@ def test_what_lets_a_model_have_a_cause_is_valid(pendulum: tuple[amhe.System, am
     found = unexplained(free, [whole(log)], np.zeros(1))
     assert found is not None
     kinds = set()
-    for cause in causes(free, found, found.forces.by - found.uncommanded):
+    scene = Scene(free, found)
+    for cause in (*joint_causes(scene), *drive_causes(scene)):
         c = sign * np.full(len(cause.force), 0.013)
         if entries := cause.repair(c, np.abs(c)) if cause.repair else {}:
             kinds.add(cause.kind)

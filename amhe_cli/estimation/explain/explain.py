@@ -10,14 +10,20 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Window
 from amhe_cli.estimation.core.result import Missing, MissingRow
-from amhe_cli.estimation.explain.causes import SEARCHED, causes
+from amhe_cli.estimation.explain.candidate import Scene
+from amhe_cli.estimation.explain.drives import drive_causes, prior_causes
 from amhe_cli.estimation.explain.inputs import mended
-from amhe_cli.estimation.explain.regression import CauseColumns, Regression, blocks_of, memory_of
-from amhe_cli.estimation.explain.unexplained import accelerations, stepped, unexplained
+from amhe_cli.estimation.explain.joints import joint_causes
+from amhe_cli.estimation.explain.regression import DOUBT, CauseColumns, Regression, blocks_of, memory_of
+from amhe_cli.estimation.explain.twin import twins
+from amhe_cli.estimation.explain.unexplained import Unexplained, accelerations, stepped, unexplained
 from amhe_cli.system.system import System
 
 #: Logs put right whose forces are looked at; steps of the values, and the last of them, in prior sd.
 TRIED, TURNS, SHORT = 2, 3, 0.05
+#: Kinds of which several are tried at each place, as one more number decides.
+SEARCHED = {"stribeck", "force limit", "speed limit", "contact", "cogging", "periodic", "coupling",
+            "servo limit", "slew limit"}  # fmt: skip
 #: Share that makes another look at the log as it is needless.
 CLEAR = 0.95
 #: What is left of two logs put right that are alike, at most a factor.
@@ -38,6 +44,8 @@ def explain(system: System, parts: Sequence[Window], z: FloatArray, rng: np.rand
     """
     if system.match == "effort":
         return Missing(untested="efforts are matched, and no motion is predicted")
+    if _suffices(system, parts, z, rng):
+        return Missing(untested="the model explains the motion as well as one that it makes itself")
     wrong = mended(system, parts, rng)
     clear = bool(wrong) and wrong[0].share > CLEAR
     best, rows = forced(system, parts, z, rng, 0 if clear else TURNS), []
@@ -74,25 +82,13 @@ def forced(
 def _forced(
     system: System, parts: Sequence[Window], z: FloatArray, rng: np.random.Generator
 ) -> tuple[Missing, FloatArray]:
-    """Regress what a system with some values does not explain on the dictionary; and the values' step.
-
-    Args:
-        system: The system.
-        parts: Parts of its logs.
-        z: Values of the unknowns, shape (d,).
-        rng: Generator of the signs of blocks.
-    """
+    """Regress what a system with some values does not explain on all causes; and the values' step."""
     found = unexplained(system, parts, z)
     if found is None or not found.stretches:
         return Missing(untested="no motion was measured away from contacts"), 0.0 * z
-    dofs = list(found.motion.dofs)
-    candidates = causes(system, found, found.forces.by - found.uncommanded)
-    residual, slopes, mass = (
-        found.residual[found.rows],
-        found.slopes[:, found.rows],
-        found.forces.mass[found.rows],
-    )
-    stretches = found.stretches
+    dofs, scene = list(found.motion.dofs), Scene(system, found)
+    candidates = [*joint_causes(scene), *drive_causes(scene), *prior_causes(scene)]
+    mass, made = found.forces.mass[found.rows], _regression(found)
     columns = [
         CauseColumns(
             tuple(dofs.index(d) for d in c.dofs),
@@ -102,13 +98,10 @@ def _forced(
         )
         for c in candidates
     ]
-    memory = memory_of(residual, stretches)
-    made = Regression(residual, slopes, blocks_of(stretches, memory), found.toward, memory)
-    chosen, chance, left, fit = made.ladder(columns, rng)
+    chosen, chance, left, fit = made.ladder(columns, rng, lambda: _own_error(system, parts, z, found, rng))
     rows = []
     for one in chosen:
-        cause = candidates[one.index]
-        own = cause.dofs[0]
+        cause, own = candidates[one.index], candidates[one.index].dofs[0]
         explained = np.tensordot(one.coefficients, cause.force[..., own], 1)
         rivals = dict.fromkeys(
             candidates[i].kind + " of " + candidates[i].place for i in one.rivals
@@ -122,12 +115,48 @@ def _forced(
                 min(one.share, 1.0),
                 tuple(rivals),
                 cause.repair(one.coefficients, one.sd) if cause.repair else {},
-                (*cause.against, _force(mass, left, dofs)[:, own] + explained, explained),
+                (*cause.against(), _force(mass, left, dofs)[:, own] + explained, explained),
             )
         )
-    moved = (found.motion.filtered(found.motion.qacc)[found.rows][:, dofs] ** 2).mean(axis=0)
+    moved = found.moved
     start, after = (float(np.mean((e**2).mean(axis=0) / moved)) for e in (made.left, left))
     return Missing(tuple(rows), chance, len(candidates), start, after), fit
+
+
+def _suffices(system: System, parts: Sequence[Window], z: FloatArray, rng: np.random.Generator) -> bool:
+    """Whether the model with its best values leaves no more than it would of a motion of its own."""
+    way = np.inf
+    for _ in range(TURNS + 1):
+        if (found := unexplained(system, parts, z)) is None or not found.stretches:
+            return False
+        *_, left, fit = _regression(found).ladder([], rng)
+        moved = stepped(system, z, fit)
+        before, way = way, float(np.abs(moved - z).max(initial=0.0))
+        if way < SHORT or way > before:
+            break
+        z = moved
+    return bool(((left**2).mean(axis=0) <= DOUBT * _own_error(system, parts, z, found, rng)).all())
+
+
+def _regression(found: Unexplained) -> Regression:
+    residual, memory = found.residual[found.rows], memory_of(found.residual[found.rows], found.stretches)
+    blocks = blocks_of(found.stretches, memory)
+    return Regression(residual, found.slopes[:, found.rows], blocks, found.toward, memory)
+
+
+def _own_error(
+    system: System, parts: Sequence[Window], z: FloatArray, found: Unexplained, rng: np.random.Generator
+) -> FloatArray:
+    """Mean square of the acceleration that would be left without any cause, shape (k,).
+
+    It is what is left of logs that the model itself makes: smoothing, noise and the time between commands
+    have such an error, which repeats from block to block, so that no test by blocks calls it chance.
+    """
+    own = unexplained(system, made, z) if (made := twins(system, parts, z, rng)) else None
+    if own is None or not own.stretches or own.motion.dofs != found.motion.dofs:
+        return np.zeros(found.residual.shape[1])
+    like = np.minimum(found.moved / own.moved, 1.0)  # a twin may move more, and is then no scale
+    return like * (_regression(own).left ** 2).mean(axis=0)
 
 
 def _force(mass: FloatArray, acceleration: FloatArray, dofs: Sequence[int]) -> FloatArray:

@@ -16,8 +16,7 @@ from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.each_log import values_on
 from amhe_cli.core.errors import LogError
 from amhe_cli.core.log import Log, Window
-from amhe_cli.engine.shares import filters
-from amhe_cli.engine.states import controls, first_activations, home
+from amhe_cli.engine.states import controls, filters, first_activations, home
 from amhe_cli.matching.motion import motion_of
 from amhe_cli.matching.windows import driving
 from amhe_cli.system.system import System

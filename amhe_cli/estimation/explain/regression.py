@@ -9,7 +9,7 @@ samples have in common, and without a cause its sign says nothing (wild bootstra
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -25,6 +25,8 @@ FOLDS = 6
 BLOCKS, MEMORY = (12, 48), 2.0
 #: Causes that are named at most, and the share that rounds to nothing.
 MOST, LITTLE = 5, 0.005
+#: A cause explains more than so many times what is left without one, which a simulation tells roughly.
+DOUBT = 2.0
 #: Ridge on columns, as a share of their square: of two that are alike neither is infinite.
 _TINY = 1e-9
 
@@ -123,9 +125,17 @@ class Regression:
         return self._left(self._x, self._residual) * self._scale
 
     def ladder(
-        self, candidates: Sequence[CauseColumns], rng: np.random.Generator
+        self,
+        candidates: Sequence[CauseColumns],
+        rng: np.random.Generator,
+        error: Callable[[], FloatArray] | None = None,
     ) -> tuple[list[Explained], float, FloatArray, FloatArray]:
         """Candidates that explain more than chance, one after the other.
+
+        Args:
+            candidates: The candidates.
+            rng: Generator of the signs of blocks.
+            error: Mean square of the residual that has no cause, shape (k,), once it is asked for.
 
         Returns:
             They; the share that chance explains once they are known; what they leave, shape (n, k); and the
@@ -135,6 +145,7 @@ class Regression:
         left = self._left(self._x, self._residual)
         own = np.array([(left[:, list(c.dofs)] ** 2).sum() for c in candidates])
         signs = rng.choice([-1.0, 1.0], (SIGNS, len(self._blocks)))
+        least = None
         chosen: list[int] = []
         rows: dict[int, tuple[float, tuple[int, ...]]] = {}
         chance = 0.0
@@ -152,14 +163,18 @@ class Regression:
             null = self._falls(x, weighted, left, signs).max(axis=0)
             beyond = float(np.quantile(null, 1.0 - LEVEL))
             chance = beyond / own[best]
-            if not total[best] > max(beyond, LITTLE * own[best]) or len(chosen) == MOST:
+            if not total[best] > beyond or len(chosen) == MOST:
+                break
+            if least is None:
+                least = self._least(candidates, own, error)
+            if not total[best] > least[best]:
                 break
             alike = [best, *self._rivals(falls, total, best, beyond, signs)]
             alike = [i for i in alike if self._possible(chosen, weighted, i, candidates[i].most)]
             best = min(alike, key=lambda i: (candidates[i].numbers, -total[i]))  # the simplest of them
             chosen.append(best)
             rows[best] = total[best] / own[best], tuple(i for i in alike if i != best)
-        chosen = self._needed(chosen, weighted, signs, own)
+        chosen = self._needed(chosen, weighted, signs, least)
         x = self._beside(chosen, weighted)
         values, sd = self._fitted(x)
         found, at = [], len(self._x)
@@ -168,6 +183,17 @@ class Regression:
             share, rivals = rows[index]
             found.append(Explained(index, share, values[own_columns], sd[own_columns], rivals))
         return found, chance, self._left(x, self._residual) * self._scale, values[: len(self._x)]
+
+    def _least(
+        self,
+        candidates: Sequence[CauseColumns],
+        own: FloatArray,
+        error: Callable[[], FloatArray] | None,
+    ) -> FloatArray:
+        """What a cause takes away at least: more than rounds to nothing, and than there is without one."""
+        squares = np.zeros_like(self._scale) if error is None else error() / self._scale**2
+        without = [squares[list(c.dofs)].sum() for c in candidates]
+        return np.maximum(LITTLE * own, DOUBT * len(self._residual) * np.array(without))
 
     def _possible(
         self, chosen: Sequence[int], weighted: Sequence[FloatArray], index: int, most: float
@@ -181,7 +207,7 @@ class Regression:
         return bool(values[at] - 2.0 * sd[at] <= most)
 
     def _needed(
-        self, chosen: Sequence[int], weighted: Sequence[FloatArray], signs: FloatArray, own: FloatArray
+        self, chosen: Sequence[int], weighted: Sequence[FloatArray], signs: FloatArray, least: FloatArray
     ) -> list[int]:
         """Those that explain more than chance beside all others: later ones may replace earlier ones."""
         kept = list(chosen)
@@ -192,7 +218,7 @@ class Regression:
                 x = self._beside([i for i in kept if i != index], weighted)
                 null = self._falls(x, [weighted[index]], left, signs)[0]
                 fall = self._falls(x, [weighted[index]])[0].sum()
-                falls.append(fall - max(np.quantile(null, 1.0 - LEVEL), LITTLE * own[index]))
+                falls.append(fall - max(np.quantile(null, 1.0 - LEVEL), least[index]))
             if min(falls) > 0.0:
                 break
             del kept[int(np.argmin(falls))]

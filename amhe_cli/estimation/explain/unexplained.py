@@ -10,8 +10,8 @@ import numpy as np
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.each_log import values_on
 from amhe_cli.core.log import Log, Window
-from amhe_cli.engine.shares import Shares, apart, shares_along
-from amhe_cli.engine.states import controls
+from amhe_cli.engine.inverse import Forces, forces_as_stepped
+from amhe_cli.engine.states import apart, controls
 from amhe_cli.estimation.explain.motion import DrivenMotion, motion_in
 from amhe_cli.system.system import System
 
@@ -40,8 +40,15 @@ class Unexplained:
     residual: FloatArray
     slopes: FloatArray
     toward: FloatArray
-    forces: Shares
+    forces: Forces
     uncommanded: FloatArray
+
+    @property
+    def moved(self) -> FloatArray:
+        """Mean square of the measured accelerations, filtered, shape (k,)."""
+        return np.asarray(
+            (self.motion.filtered(self.motion.qacc)[self.rows][:, self.motion.dofs] ** 2).mean(axis=0)
+        )
 
     @property
     def stretches(self) -> list[slice]:
@@ -104,23 +111,17 @@ def stepped(system: System, z: FloatArray, fit: FloatArray) -> FloatArray:
     return space.clip(space.z_of(np.where(space.log, np.clip(moved, 0.5 * theta, 2.0 * theta), moved)))
 
 
-def along(system: System, logs: Sequence[Log], motion: DrivenMotion, theta: FloatArray) -> Shares:
-    """Forces along a motion, each log with its own values."""
+def along(system: System, logs: Sequence[Log], motion: DrivenMotion, theta: FloatArray) -> Forces:
+    """Forces along a motion as a rollout computes them, each log with its own values."""
     made = []
     for number, log in enumerate(logs):
         own = motion.log == number
         values = values_on(log, system.edits.space, system.space, theta[None])[0]
         model = system.edits.apply(system.model, values)
-        made.append(
-            shares_along(
-                model, motion.qpos[own], motion.qvel[own], motion.qacc[own], motion.inputs[own],
-                system.input_spec, motion.act[own],
-            )
-        )  # fmt: skip
-    joined: dict[str, FloatArray] = {
-        name: np.concatenate([getattr(one, name) for one in made]) for name in Shares.__slots__
-    }
-    return Shares(**joined)
+        moved = motion.qpos[own], motion.qvel[own], motion.qacc[own]
+        made.append(forces_as_stepped(model, *moved, motion.inputs[own], system.input_spec, motion.act[own]))
+    joined = {name: np.concatenate([getattr(one, name) for one in made]) for name in Forces.__slots__}
+    return Forces(**joined)
 
 
 def apart_in(system: System, logs: Sequence[Log], motion: DrivenMotion, theta: FloatArray) -> BoolArray:
@@ -141,10 +142,10 @@ def accelerations(mass: FloatArray, force: FloatArray, dofs: Sequence[int]) -> F
     return np.einsum("nij,...nj->...ni", np.linalg.inv(own), force[..., list(dofs)])
 
 
-def missing(motion: DrivenMotion, found: Shares) -> FloatArray:
+def missing(motion: DrivenMotion, found: Forces) -> FloatArray:
     """Acceleration that is measured and that no force gives, filtered, shape (n, k).
 
     An acceleration, not a force: that of a model which weighs nothing and gives nothing would be none.
     """
-    force = motion.filtered(found.missing(direction(motion.qvel)))
+    force = motion.filtered(found.missing + found.friction * direction(motion.qvel))
     return accelerations(found.mass, force, motion.dofs)

@@ -10,7 +10,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief import Belief, belief_of
-from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.log import Window
 from amhe_cli.core.settings import MheSettings
 from amhe_cli.core.statistics import Z90
@@ -183,11 +183,12 @@ class MovingHorizon:
         elapsed = min(setting.update_period, window.duration) if self._last is None else at - self._last
         self._last = at
         self._belief = self._belief.inflated(self._system.space.drift**2 * elapsed)
-        if not usable(self._system, window):
+        cost = cost_of(self._system, window, self._engine)
+        if cost is None:
             self._jump = self._jump.after(0.0)
             return self._estimate(at, "gap", None, begun)
         problem = WindowProblem(
-            cost=MatchingCost(self._system, [window], self._engine, self._system.settings.cost),
+            cost=cost,
             prior=self._belief,
             noise=self._noise,
             share=min(1.0, elapsed / window.duration),
@@ -242,6 +243,22 @@ class MovingHorizon:
             diverged=outcome.diverged if outcome else 0,
             update_ms=1e3 * (time.perf_counter() - begun),
         )
+
+
+def cost_of(system: System, window: Window, engine: Engine) -> MatchingCost | None:
+    """The matching cost on one window, as it was known at its end; None where a signal is missing.
+
+    Where efforts are matched, the motion is smoothed over the window and as much before it.
+    """
+    if not usable(system, window):
+        return None
+    if system.match == "effort":
+        window = window.alone(window.length)
+    try:
+        cost = MatchingCost(system, [window], engine, system.settings.cost)
+    except LogError:  # too few positions without a gap make no motion
+        return None
+    return cost if cost.clips.observed else None
 
 
 def usable(system: System, window: Window) -> bool:

@@ -12,10 +12,9 @@ from amhe_cli.core.each_log import values_on
 from amhe_cli.core.log import Window
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.core.result import Fit
-from amhe_cli.estimation.online.horizon import usable
+from amhe_cli.estimation.online.horizon import cost_of, usable
 from amhe_cli.estimation.online.replay import Replay
 from amhe_cli.estimation.validation.fits import SHOWN, fit_of
-from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.matching.readings import reading_of, state_errors
 from amhe_cli.matching.windows import starts_of
 from amhe_cli.system.system import System
@@ -48,6 +47,8 @@ def predictions(done: Replay, engine: Engine) -> list[Prediction | None]:
     theta = values_on(log, system.edits.space, system.space, done.column("theta"))
     newest = round(system.settings.mhe.update_period / done.windows[0].log.dt)
     found: list[Prediction | None] = [None] * len(done.windows)
+    if system.match == "effort":
+        return [_efforts(done, engine, i, newest) for i in range(len(done.windows))]
     known = [i for i, window in enumerate(done.windows) if usable(system, window)]
     for start in range(0, len(known), _AT_ONCE):
         some = known[start : start + _AT_ONCE]
@@ -55,6 +56,24 @@ def predictions(done: Replay, engine: Engine) -> list[Prediction | None]:
         for i, end in zip(some, ends, strict=True):
             found[i] = end
     return found
+
+
+def _efforts(done: Replay, engine: Engine, i: int, newest: int) -> Prediction | None:
+    """Efforts along the newest part of a window's motion; NaN of joints that were not compared."""
+    window, system = done.windows[i], done.system
+    if (cost := cost_of(system, window, engine)) is None:
+        return None
+    (own,), observed = cost.clips.windows, cost.clips.observed
+    predicted = cost.predict(system.space.z_of(done.estimates[i].theta)[None]).values
+    compared = np.any([one.mask[0] for one in observed], axis=0)
+    rows = observed[0].rows[0] + 1 + own.start
+    some = np.flatnonzero(compared & (rows > own.stop - newest))
+    series: dict[str, FloatArray] = {}
+    for one, values in zip(observed, predicted, strict=True):
+        width = len(own.log[one.channel.series].columns)
+        into = series.setdefault(one.channel.series, np.full((some.size, width), np.nan))
+        into[:, one.channel.part] = to_host(values)[0, 0, some, 0]
+    return Prediction(rows[some] + window.start - own.start, series)
 
 
 def _ends(
@@ -114,7 +133,8 @@ def replay_fits(done: Replay, engine: Engine) -> tuple[Fit, ...]:
 
 def _fits(done: Replay, engine: Engine, i: int) -> Iterator[Fit]:
     window, estimate, system = done.windows[i], done.estimates[i], done.system
-    cost = MatchingCost(system, [window], engine, system.settings.cost)
+    cost = cost_of(system, window, engine)
+    assert cost is not None, "the window was used"
     predicted = cost.predict(np.stack((done.start.z, system.space.z_of(estimate.theta))))
     end = done.times[i]
     label = (

@@ -1,0 +1,190 @@
+"""What drives may have that their model lacks: factors, delays, limits inside a servo; and priors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.engine.states import controls
+from amhe_cli.estimation.explain.candidate import Cause, Moved, Scene, Words, believed, number, says
+from amhe_cli.estimation.explain.joints import LIMITS
+from amhe_cli.estimation.explain.regression import memory_of
+from amhe_cli.estimation.explain.unexplained import accelerations, scale_of
+from amhe_cli.system.model.elements import commanded, driven_joint, inputs_of
+
+#: Quantiles of the speed that a servo's target may not exceed.
+_FAST = (0.8, 0.9, 0.95, 0.99)
+#: Arrays of numbers that are inertia.
+_INERT = {"body_mass", "body_inertia", "body_ipos", "dof_armature"}
+
+
+def drive_causes(scene: Scene) -> Iterator[Cause]:
+    """Commands: their factor, their delay, limits; actuators that nothing commands."""
+    model, by = scene.model, scene.found.forces.by
+    names = [model.actuator(row).name or f"actuator {row}" for row in range(model.nactuator)]
+    driven = [a for a in range(len(names)) if np.abs(scene.commands[:, a]).max(initial=0.0) > 0.0]
+    for a, name in enumerate(names):
+        dofs, values = scene.spread(by[None, :, a])
+        if not dofs or name.startswith("amhe/"):
+            continue
+        against = partial(_of, f"force of {name}", values[0, :, dofs[0]])
+        if a not in driven:
+            words = says(f"{name} has no command and acts: remove it, or give its command")
+            yield Cause("idle actuator", name, dofs, -values, words, against)
+            continue
+        servo = np.abs(by[:, a] - scene.commands[:, a]).max() > 0.0
+        if servo and not _gain_is_free(scene, a):
+            words = _times(f"{name} gives", "of what the model says")
+            yield Cause("gain", name, dofs, values, words, against, lambda c, sd, n=name: _gain(n))
+        words = _times(f"the command of {name} acts", "times as the model says")
+        yield Cause("command", name, *scene.spread(scene.commands[None, :, a]), words, against)
+        yield from _inside(scene, a)
+    if (total := scene.commands.sum(axis=1)).any():
+        dofs, values = scene.spread(-scene.change(total)[None])
+        yield Cause(
+            "delay", "commands", dofs, values,
+            lambda c, sd: f"commands act {number(1e3 * c[0], 1e3 * sd[0])} ms later",
+            partial(_of, "change of the command's force", values[0, :, dofs[0]]),
+            lambda c, sd: _delay(float(c[0])) if c[0] > 0.0 and scene.system.edits.prompt else {},
+        )  # fmt: skip
+
+
+def _of(name: str, values: FloatArray) -> tuple[str, FloatArray]:
+    return name, values
+
+
+def _times(what: str, of: str) -> Words:
+    """A factor in words, of a coefficient that is what it has beyond one."""
+    return lambda c, sd: f"{what} {number(1.0 + c[0], sd[0])} {of}"
+
+
+def _gain(name: str) -> dict[str, Any]:
+    target = {"actuator": name, "set": "gain", "mode": "scale"}
+    scale = {"nominal": 1.0, "bounds": [0.05, 20.0], "scale": "log", "prior_sd": 0.5}
+    return {f"{name}_gain": scale | {"targets": [target]}}
+
+
+def _delay(late: float) -> dict[str, Any]:
+    entry = {"nominal": late, "bounds": [0.0, 10.0 * late], "scale": "linear", "prior_sd": late}
+    return {"command_delay": entry | {"targets": [{"set": "command_delay"}]}}
+
+
+def _gain_is_free(scene: Scene, actuator: int) -> bool:
+    fields = ("actuator_gainprm", "actuator_biasprm", "actuator_gear")
+    return any(scene.free(field, actuator, column) for field in fields for column in (0, 1))
+
+
+def _inside(scene: Scene, a: int) -> Iterator[Cause]:
+    """A position servo whose gains act inside a limit, or whose target moves no faster than it may."""
+    model, motion, name = scene.model, scene.motion, scene.model.actuator(a).name
+    joint, place = driven_joint(model, a), controls(model, scene.system.input_spec)
+    if joint is None or place is None or commanded(model, a) != "position" or inputs_of(model, a):
+        return
+    if (j := scene.moved.get(int(model.joint(joint).dofadr[0]))) is None:
+        return
+    gear, at = float(model.actuator_gear[a, 0]), int(model.actuator_actadr[a])
+    q, v = gear * j.q, gear * j.v
+    target = motion.inputs[:, place.start + int(model.actuator_ctrladr[a])] if at < 0 else motion.act[:, at]
+    gain, bias = float(model.actuator_gainprm[a, 0]), model.actuator_biasprm[a]
+    now, turn = scene.found.forces.by[:, a, j.dof], bias[0] + bias[1] * q
+    fast = float(np.quantile(np.abs(v), 0.998))
+    pull = gain * target + turn
+    pulls = [("servo limit", most, np.clip(pull, -most, most)) for most in np.quantile(np.abs(pull), LIMITS)]
+    for most in np.quantile(np.abs(v), _FAST):
+        moved = [_slewed(target[s], q[s], most * motion.period) for s in motion.stretches]
+        pulls.append(("slew limit", most, gain * np.concatenate(moved) + turn))
+    for kind, most, values in pulls:
+        change = gear * scene.change(values)  # another delay than the model's, too
+        factor, slows, _ = _replaced(scene, j.dof, now, gear * values, -gear * v, -change)
+        if factor <= 0.0 or (kind == "servo limit" and slows <= 0.0):
+            continue
+        drive = f"as {factor * gain:.2g} {j.f}/{j.u} less {slows:.2g} {j.f} s/{j.u}"
+        text, repair = {
+            "servo limit": (
+                f"{name} never exceeds {fast:.2g} {j.u}/s: its gains act inside a limit, "
+                f"{drive} up to {factor * most:.2g} {j.f}",
+                lambda c, sd, how=(factor, factor * most, slows): _limited(scene, a, j, *how),
+            ),
+            "slew limit": (
+                f"{name} follows its command at no more than {most:.2g} {j.u}/s (a profile, slewmax of a "
+                f"<pid>), {drive}",
+                None,
+            ),
+        }[kind]
+        columns = [gear * (factor * values - slows * v) - now, -change]
+        yield replace(scene.on(j, kind, columns, says(text), "speed", repair), place=name)
+
+
+def _slewed(target: FloatArray, start: FloatArray, step: float) -> FloatArray:
+    """A target (n,) that moves from `start` on by no more than a step a row."""
+    found, now = np.empty_like(target), float(start[0])
+    for k, wanted in enumerate(target):
+        found[k] = now = now + float(np.clip(wanted - now, -step, step))
+    return found
+
+
+def _replaced(scene: Scene, dof: int, now: FloatArray, *columns: FloatArray) -> FloatArray:
+    """Coefficients of columns of force that would best be there in place of one force, shape (m,)."""
+    found, dofs = scene.found, list(scene.motion.dofs)
+    values = np.zeros((len(columns) + 1, len(scene.time), scene.model.nv))
+    values[..., dof] = (now, *columns)
+    moved = accelerations(found.forces.mass[found.rows], scene.spread(values)[1], dofs)
+    residual, slopes = found.residual[found.rows], found.slopes[:, found.rows]
+    known = np.concatenate([moved[1:], slopes]).reshape(len(columns) + len(slopes), -1)
+    prior = np.r_[np.zeros(len(columns)), np.ones(len(slopes))] * (residual**2).mean()
+    prior *= memory_of(residual, found.stretches)
+    wanted = known @ (residual + moved[0]).ravel()
+    return np.linalg.solve(known @ known.T + np.diag(prior), wanted)[: len(columns)]
+
+
+def _limited(scene: Scene, a: int, j: Moved, factor: float, most: float, slows: float) -> dict[str, Any]:
+    """Parameters of a servo that pulls in proportion up to a limit, and is slowed as by drag."""
+    name, found = scene.model.actuator(a).name, {}
+    if not scene.model.actuator_forcelimited[a]:
+        return {}
+    for word, field, row, column, value in (
+        ("gain", "actuator_gainprm", a, 0, factor * scene.now("actuator_gainprm", a)),
+        ("force_limit", "actuator_forcerange", a, 1, most),
+        ("damping", "dof_damping", j.dof, 0, scene.now("dof_damping", j.dof) + slows),
+        ("actuator_damping", "actuator_biasprm", a, 2, -0.1 * scene.now("actuator_biasprm", a, 2)),
+    ):
+        where = {"joint": j.name} if word == "damping" else {"actuator": name}
+        if value > 0.0 or (field, row, column) in scene.set:
+            found |= scene.became((field, row, column), value, 0.0, **where, set=word)
+    return found
+
+
+def prior_causes(scene: Scene) -> Iterator[Cause]:
+    """Values that the logs want farther off than their priors allow.
+
+    None of an inertia: a body without one, that nothing pulls, moves as it likes.
+    """
+    found, space, dofs = scene.found, scene.system.space, list(scene.motion.dofs)
+    fields: dict[str, set[str]] = {}
+    for cell, parameter in scene.set.items():
+        fields.setdefault(parameter.name, set()).add(cell[0])
+    scales = scale_of(scene.system)
+    for parameter, slopes, scale in zip(space.parameters, found.slopes[:, found.rows], scales, strict=True):
+        own = tuple(d for d, moved in zip(dofs, np.abs(slopes).max(axis=0), strict=True) if moved)
+        if parameter.owner or not own or not fields.get(parameter.name, _INERT).isdisjoint(_INERT):
+            continue
+        force = np.zeros((1, len(slopes), scene.model.nv))
+        mass = found.forces.mass[found.rows][:, dofs][:, :, dofs]
+        force[0][:, dofs] = np.einsum("nij,nj->ni", mass, slopes)
+
+        def wanted(c: FloatArray, parameter=parameter, scale: float = scale) -> float:  # type: ignore[no-untyped-def]
+            """Beside it, a fit of the slope rests at the prior's own value."""
+            return float(np.clip(parameter.nominal - scale * c[0], parameter.lower, parameter.upper))
+
+        yield Cause(
+            "prior", parameter.name, own, force,
+            lambda c, sd, p=parameter, w=wanted: f"the log wants about {w(c):.3g}, where the prior has "
+            f"{p.nominal:.3g}: is it known so well?",
+            partial(_of, "what a prior sd of it changes", force[0, :, own[0]]),
+            lambda c, sd, p=parameter, w=wanted: {p.name: believed(p, w(c))},
+        )  # fmt: skip
