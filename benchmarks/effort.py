@@ -1,10 +1,14 @@
 """Matching efforts on simulated logs of an arm with seven joints: error, intervals, bias and time.
 
-    python benchmarks/effort.py [--seeds 40] [--quick]
+    python benchmarks/effort.py [--seeds 40] [--quick] [--held-out]
 
 Joints follow sums of sines; torques are those of the true model by `mj_inverse`, with dry friction that has
 the sign of the velocity, and noise. Truths are drawn from the prior. The Cramer-Rao bound takes the motion as
 known exactly. Plain least squares has the same regressor, motion and filter, each sample alike, and no prior.
+
+With --held-out, the measured torques of the last fifth of a log, which was not fitted, against those of the
+model as given, of plain least squares, and of amhe: on `example:arm_torque`, whose model `init` makes, and on
+one log of the arm above.
 """
 
 from __future__ import annotations
@@ -12,20 +16,24 @@ from __future__ import annotations
 import argparse
 import functools
 import logging
+import tempfile
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
-from common import over_seeds, show
+from common import PROJECT, over_seeds, show
 
+import amhe_cli as amhe
 from amhe_cli.api.identify import identify
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.log import Log
+from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.inverse import body_slopes, forces_along
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline.clips import whole
+from amhe_cli.init.folder import init_system
 from amhe_cli.matching import efforts
 from amhe_cli.matching import motion as measured
 from amhe_cli.matching.cost import MatchingCost
@@ -198,6 +206,68 @@ def trial(seed: int, noise: float) -> dict[str, Any]:
     }
 
 
+def held_out(system: System, log: Log, model: mujoco.MjModel) -> FloatArray:
+    """Rms error of each torque on the last fifth of a log: as given, by least squares, by amhe, (3, nv)."""
+    split = int(0.8 * log.steps)
+    result = identify(system, Window(log, 0, split).alone(0).log, threads=1)
+    values = {name: p.estimate for name, p in result.parameters.items()}
+    theta = np.array([values[name] for name in system.space.names])
+    cost = MatchingCost(system, [whole(log)], open_engine(system), system.settings.cost)
+    along, predicted = cost.clips.starts.along, cost.predict(system.space.z_of(theta)[None]).values
+    assert along is not None
+    q, v, a = along.flat
+    given = forces_along(model, q, v, a).needed + model.dof_frictionloss * along.dry[0]
+    slopes = body_slopes(model, range(1, model.nbody), q, v, a)
+    found, joints = np.empty((3, len(predicted))), []
+    for j, (one, fitted) in enumerate(zip(cost.clips.observed, predicted, strict=True)):
+        mask, tau = one.mask[0], one.measured[0, :, 0]
+        (dof,) = one.channel.columns
+        own = np.stack((v[:, dof], along.dry[0, :, dof], np.ones_like(tau)), axis=1)
+        columns = np.zeros((len(tau), slopes.shape[2] + 3 * len(predicted)))
+        columns[:, : slopes.shape[2]] = slopes[:, dof]
+        columns[:, slopes.shape[2] + 3 * j : slopes.shape[2] + 3 * j + 3] = own
+        first = one.rows[0] < split
+        parts = (columns, tau - model.dof_armature[dof] * a[:, dof], mask & first)
+        joints.append(parts)
+        found[0, j] = _rms((given[:, dof] - tau)[mask & ~first])
+        found[2, j] = _rms((fitted[0, 0, :, 0] - tau)[mask & ~first])
+    regressor, target = (np.concatenate([p[k][p[2]] for p in joints]) for k in range(2))
+    solution = np.linalg.lstsq(regressor, target, rcond=1e-8)[0]
+    for j, (columns, target, _) in enumerate(joints):
+        one = cost.clips.observed[j]
+        last = one.mask[0] & (one.rows[0] >= split)
+        found[1, j] = _rms((columns @ solution - target)[last])
+    return found
+
+
+def _rms(error: FloatArray) -> float:
+    return float(np.sqrt((error**2).mean()))
+
+
+def compare_held_out() -> None:
+    """The tables of --held-out."""
+    logging.disable(logging.WARNING)
+    with tempfile.TemporaryDirectory() as folder:
+        logs_of = PROJECT / "examples" / "logs"
+        csv, mjcf = logs_of / "arm_torque.csv", logs_of / "arm_torque.xml"
+        init_system(mjcf, [csv], Path(folder))
+        system = System.load(folder, warn=False)
+        given = mujoco.MjModel.from_xml_path(str(mjcf))
+        logs = {"example:arm_torque": (system, amhe.read_log(csv, system), given)}
+        drawn = system_of(1e-4)
+        z = np.clip(np.random.default_rng([0, 3]).standard_normal(len(drawn.space)), -2.0, 2.0)
+        truth = drawn.space.theta_of(drawn.space.clip(z))
+        logs["the arm above"] = drawn, recorded(drawn, truth, 1e-4, 0)[0], drawn.model
+        for name, given in logs.items():
+            found = held_out(*given)
+            rows = [
+                (label, *(f"{value:.3f}" for value in row), f"{_rms(row):.3f}")
+                for label, row in zip(("as given", "plain least squares", "amhe"), found, strict=True)
+            ]
+            heads = ("", *(f"j{i + 1}" for i in range(found.shape[1])), "all")
+            show(f"{name}: torque on the fifth that was not fitted, rms [N m]", heads, rows)
+
+
 def _clear() -> None:
     """Forget motions that were smoothed: plain least squares begins where identification began."""
     for kept in (efforts._path, efforts._filtered, measured._motion):  # pyright: ignore[reportPrivateUsage]
@@ -209,7 +279,11 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=40)
     parser.add_argument("--quick", action="store_true", help="4 seeds")
     parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--held-out", action="store_true", help="torques of what was not fitted, by joint")
     options = parser.parse_args()
+    if options.held_out:
+        compare_held_out()
+        return
     seeds, rows = 4 if options.quick else options.seeds, []
     for noise in (1e-4, 1e-3):
         one = functools.partial(trial, noise=noise)

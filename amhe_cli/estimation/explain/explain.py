@@ -87,7 +87,8 @@ def _forced(
     if found is None or not found.stretches:
         return Missing(untested="no motion was measured away from contacts"), 0.0 * z
     dofs, scene = list(found.motion.dofs), Scene(system, found)
-    candidates = [*joint_causes(scene), *drive_causes(scene), *prior_causes(scene)]
+    tried = (*joint_causes(scene), *drive_causes(scene), *prior_causes(scene))
+    candidates = [cause for cause in tried if cause.dofs]
     mass, made = found.forces.mass[found.rows], _regression(found)
     columns = [
         CauseColumns(

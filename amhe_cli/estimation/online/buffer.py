@@ -16,7 +16,7 @@ from amhe_cli.core.series import Series
 from amhe_cli.core.signals import DERIVED, Signal
 
 #: Time before a window's start [s] that is on its grid, since first states are smoothed.
-_BEFORE = 0.2
+BEFORE = 0.2
 #: A signal's period is the median over so many of its last stamps, so that a pause hardly changes it.
 _STAMPS = 100
 
@@ -30,13 +30,21 @@ class Buffer:
         dt: Step of the clock: the time step of the estimator's model [s].
         max_gap: Longest silence that is filled [s], as in logs: slow signals may be silent for longer, and
             commands that are sent on change last until the next.
+        before: Time before a window's start that is kept [s].
     """
 
-    def __init__(self, signals: tuple[Signal, ...], window: float, dt: float, max_gap: float) -> None:
+    def __init__(
+        self,
+        signals: tuple[Signal, ...],
+        window: float,
+        dt: float,
+        max_gap: float,
+        before: float = BEFORE,
+    ) -> None:
         self._signals = signals
         self._signal_of = {signal.key(q): signal for signal in signals for q in signal.quantities}
         self._names = {signal.name for signal in signals}
-        self._steps, self._dt, self._max_gap = round(window / dt), dt, max_gap
+        self._steps, self._dt, self._max_gap, self._before = round(window / dt), dt, max_gap, before
         self._kept: dict[str, deque[tuple[FloatArray, FloatArray]]] = {}
         self._stamps: dict[str, FloatArray] = {}
 
@@ -55,14 +63,14 @@ class Buffer:
                 self._kept.setdefault(key, deque()).append((times, values))
                 before = self._stamps.get(key, times[:0])
                 self._stamps[key] = np.concatenate((before, times))[-_STAMPS:]
-        oldest = self.newest - self._steps * self._dt - _BEFORE
+        oldest = self.newest - self._steps * self._dt - self._before
         for parts in self._kept.values():
             while len(parts) > 1 and parts[1][0][0] <= oldest:
                 parts.popleft()
 
     def window(self, end: float) -> Window | None:
         """The newest window, its last instant at `end` [s]; None while there are not enough samples."""
-        before = round(_BEFORE / self._dt) - 1
+        before = round(self._before / self._dt) - 1
         grid = end + self._dt * np.arange(-self._steps - before, 1, dtype=np.float64)
         begun = {self._signal_of[key].name for key in self._kept}
         late = any(parts[0][0][0] > grid[before] + 1e-6 for parts in self._kept.values())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from amhe_cli.core.samples import Samples
-from amhe_cli.estimation.online.buffer import Buffer
+from amhe_cli.estimation.online.buffer import BEFORE, Buffer
 from amhe_cli.estimation.online.workers import News, Trouble, Worker
 from amhe_cli.system.system import System
 
@@ -22,7 +22,9 @@ class Tracker:
 
     def __init__(self, system: System, worker: Worker) -> None:
         settings, dt = system.settings, system.model.opt.timestep
-        self._buffer = Buffer(system.signals, settings.mhe.window, dt, settings.logs.max_gap)
+        window = settings.mhe.window
+        before = window if system.match == "effort" else BEFORE  # motion is smoothed over that, too
+        self._buffer = Buffer(system.signals, window, dt, settings.logs.max_gap, before)
         self._worker, self._period = worker, settings.mhe.update_period
         self._due = -np.inf
         self._late = False

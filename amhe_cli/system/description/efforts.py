@@ -12,12 +12,15 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
+from amhe_cli.core.settings import Settings
 from amhe_cli.system.description.data import Channel, Input
 from amhe_cli.system.description.schema import Description, SignalEntry
 from amhe_cli.system.description.wiring import Wiring, split_key, unit_of
 
 _CTRL = int(mujoco.mjtState.mjSTATE_CTRL)
 _AT_JOINT = mujoco.mjtTrn.mjTRN_JOINT
+#: Window and update period of the online estimator [s]: the smoothed motion ends before a window does.
+_WINDOW, _PERIOD = 1.0, 0.5
 
 
 def matching_efforts(
@@ -56,6 +59,14 @@ def matching_efforts(
     )
     inputs = tuple(one for one in wiring.inputs if one.key not in forces and not one.delayed)
     return Wiring(signals, tuple(channels), inputs, wiring.input_spec)
+
+
+def windowed(settings: Settings) -> Settings:
+    """Settings with windows that are long enough to smooth a motion in, unless they were chosen."""
+    chosen = settings.mhe.model_fields_set
+    longer = {"window": _WINDOW, "update_period": _PERIOD}
+    mhe = settings.mhe.model_copy(update={} if "window" in chosen else longer)
+    return settings.model_copy(update={"mhe": mhe})
 
 
 def unpowered(wiring: Wiring, model: mujoco.MjModel) -> list[int]:

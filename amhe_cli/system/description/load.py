@@ -17,7 +17,7 @@ from amhe_cli.core.settings import MheSettings, Settings
 from amhe_cli.core.yaml_file import Place, YamlFile, merged
 from amhe_cli.system.description.cautions import caution
 from amhe_cli.system.description.data import SystemData
-from amhe_cli.system.description.efforts import matching_efforts, unpowered
+from amhe_cli.system.description.efforts import matching_efforts, unpowered, windowed
 from amhe_cli.system.description.folders import FILE_NAME, find_system
 from amhe_cli.system.description.parameters import generalise, unknowns_of
 from amhe_cli.system.description.schema import Description, SystemEntry, robot_groups, validated
@@ -186,7 +186,7 @@ def _built(
         channels=wiring.channels,
         inputs=wiring.inputs,
         input_spec=wiring.input_spec,
-        settings=entry.settings,
+        settings=windowed(entry.settings) if entry.match == "effort" else entry.settings,
         keyframe=keyframe,
         calibration=calibration,
         match=entry.match,

@@ -7,10 +7,16 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.log import Log
+from amhe_cli.core.samples import sampled
 from amhe_cli.engine.inverse import forces_along
+from amhe_cli.engine.open import open_engine
+from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon
 from amhe_cli.estimation.online.predictions import predictions
 from amhe_cli.estimation.online.replay import open_replay, replayed
+from amhe_cli.estimation.online.tracker import Tracker
+from amhe_cli.estimation.online.workers import InStep
 from amhe_cli.system.system import System
+from tests.estimation.online.test_tracker import portions
 
 ARM = Path(__file__).parents[3] / "examples" / "logs" / "arm_torque.xml"
 JOINTS = [f"joint{i}" for i in range(1, 8)]
@@ -65,9 +71,7 @@ def test_a_payload_is_found_in_a_second_and_a_grip_is_a_jump(arm: System, grippi
 
     done = replayed(problem, lambda estimate: None, lambda: False)
 
-    time, mass, lower, upper = (
-        done.column(name).reshape(-1) for name in ("time", "theta", "lower", "upper")
-    )
+    time, mass, lower, upper = (done.column(name).reshape(-1) for name in ("time", "theta", "lower", "upper"))
     true = np.where(time < GRIP, LIGHT, HEAVY)
     assert mass[0] == pytest.approx(LIGHT, rel=0.1)  # of the first second
     jumps = [e.time for e in done.estimates if e.mark == "jump" and e.time > 2.0]
@@ -79,3 +83,31 @@ def test_a_payload_is_found_in_a_second_and_a_grip_is_a_jump(arm: System, grippi
     assert predicted is not None
     measured = gripping["torque.effort"].values[predicted.rows]
     assert np.nanstd(predicted.values["torque.effort"] - measured) < 0.25
+
+
+@pytest.mark.medium
+def test_live_windows_find_it_too(arm: System, gripping: Log) -> None:
+    estimator = MovingHorizon(arm, open_engine(arm), np.random.default_rng(0))
+    tracker = Tracker(arm, InStep(lambda _: estimator, latency=0.0))
+
+    news = [one for _, part in portions(sampled(gripping), 0.25, SECONDS) for one in tracker.feed(part)]
+
+    found = [one for one in news if isinstance(one, Estimate)]
+    assert len(found) == len(news) >= 12
+    assert found[-1].theta[0] == pytest.approx(HEAVY, rel=0.05)
+    assert any(one.mark == "jump" and GRIP < one.time <= GRIP + 1.0 for one in found)
+
+
+def test_windows_are_long_enough_to_smooth_a_motion_in_unless_they_were_chosen() -> None:
+    signals = {"torque": {"joint_force": JOINTS, "noise": {"effort": 0.1}}, "joints": {"joints": JOINTS}}
+    mass = {"m": {"targets": [{"body": "link7", "set": "mass"}]}}
+
+    def windows(**given: float) -> tuple[float, float]:
+        system = System.from_model(
+            mujoco.MjSpec.from_file(str(ARM)), parameters=mass, signals=signals, match="effort",
+            settings={"mhe": given}, warn=False,
+        )  # fmt: skip
+        return system.settings.mhe.window, system.settings.mhe.update_period
+
+    assert windows() == (1.0, 0.5)
+    assert windows(window=0.7) == (0.7, 0.2)
