@@ -13,7 +13,7 @@ import amhe_cli as amhe
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.engine.inverse import forces_along
 from amhe_cli.estimation.core.result import Missing
-from amhe_cli.estimation.explain.candidate import Scene
+from amhe_cli.estimation.explain.candidate import CauseMaker
 from amhe_cli.estimation.explain.drives import drive_causes
 from amhe_cli.estimation.explain.explain import explain
 from amhe_cli.estimation.explain.joints import joint_causes
@@ -164,8 +164,8 @@ def test_what_lets_a_model_have_a_cause_is_valid(pendulum: tuple[amhe.System, am
     found = unexplained(free, [whole(log)], np.zeros(1))
     assert found is not None
     kinds = set()
-    scene = Scene(free, found)
-    for cause in (*joint_causes(scene), *drive_causes(scene)):
+    maker = CauseMaker(free, found)
+    for cause in (*joint_causes(maker), *drive_causes(maker)):
         c = sign * np.full(len(cause.force), 0.013)
         if entries := cause.repair(c, np.abs(c)) if cause.repair else {}:
             kinds.add(cause.kind)

@@ -45,7 +45,7 @@ class Cause:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Moved:
+class MeasuredDof:
     """A degree of freedom along the motion; arrays have shape (n,).
 
     Args:
@@ -70,7 +70,7 @@ class Moved:
     u: str
 
 
-class Scene:
+class CauseMaker:
     """The system and its motion, and candidates made of columns of force.
 
     Args:
@@ -91,7 +91,7 @@ class Scene:
         }  # fmt: skip
         self.moved = self._moved()
 
-    def _moved(self) -> dict[int, Moved]:
+    def _moved(self) -> dict[int, MeasuredDof]:
         """The measured degrees of freedom; a measured acceleration has the residual's own noise in it."""
         motion, dofs, way = self.motion, dofs_of(self.model), direction(self.motion.qvel)
         clean, nothing = [np.ones(len(self.time))], np.zeros(len(self.time))
@@ -105,7 +105,7 @@ class Scene:
         columns /= np.maximum(np.abs(columns).max(axis=0), 1e-12)
         a = columns @ np.linalg.lstsq(columns, motion.qacc, rcond=1e-9)[0]
         return {
-            dof: Moved(
+            dof: MeasuredDof(
                 dof=dof, name=dofs[dof].name, joint=dofs[dof].joint, place=dofs[dof].place,
                 q=motion.qpos[:, dofs[dof].place] if dofs[dof].place >= 0 else nothing,
                 v=motion.qvel[:, dof], a=a[:, dof], way=way[:, dof], given=self.found.forces.given[:, dof],
@@ -124,7 +124,7 @@ class Scene:
         return float(np.atleast_1d(getattr(self.model, field)[row])[column])
 
     def on(
-        self, j: Moved, kind: str, columns: Sequence[FloatArray], words: Words, against: str = "time",
+        self, j: MeasuredDof, kind: str, columns: Sequence[FloatArray], words: Words, against: str = "time",
         repair: Repair | None = None,
     ) -> Cause:  # fmt: skip
         """A candidate on one degree of freedom; it is drawn against its position, speed, ... or the time."""
@@ -132,7 +132,7 @@ class Scene:
         values[..., j.dof] = columns
         return Cause(kind, j.name, *self.spread(values), words, lambda: self.drawn(j, against), repair)
 
-    def drawn(self, j: Moved, what: str) -> tuple[str, FloatArray]:
+    def drawn(self, j: MeasuredDof, what: str) -> tuple[str, FloatArray]:
         """A quantity of a degree of freedom with its unit, at the rows that count."""
         values, name = {
             "position": (j.q, f"{j.name} [{j.u}]"),

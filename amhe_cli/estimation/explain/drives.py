@@ -11,7 +11,15 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.engine.states import controls
-from amhe_cli.estimation.explain.candidate import Cause, Moved, Scene, Words, believed, number, says
+from amhe_cli.estimation.explain.candidate import (
+    Cause,
+    CauseMaker,
+    MeasuredDof,
+    Words,
+    believed,
+    number,
+    says,
+)
 from amhe_cli.estimation.explain.joints import LIMITS
 from amhe_cli.estimation.explain.regression import memory_of
 from amhe_cli.estimation.explain.unexplained import accelerations, scale_of
@@ -23,13 +31,13 @@ _FAST = (0.8, 0.9, 0.95, 0.99)
 _INERT = {"body_mass", "body_inertia", "body_ipos", "dof_armature"}
 
 
-def drive_causes(scene: Scene) -> Iterator[Cause]:
+def drive_causes(maker: CauseMaker) -> Iterator[Cause]:
     """Commands: their factor, their delay, limits; actuators that nothing commands."""
-    model, by = scene.model, scene.found.forces.by
+    model, by = maker.model, maker.found.forces.by
     names = [model.actuator(row).name or f"actuator {row}" for row in range(model.nactuator)]
-    driven = [a for a in range(len(names)) if np.abs(scene.commands[:, a]).max(initial=0.0) > 0.0]
+    driven = [a for a in range(len(names)) if np.abs(maker.commands[:, a]).max(initial=0.0) > 0.0]
     for a, name in enumerate(names):
-        dofs, values = scene.spread(by[None, :, a])
+        dofs, values = maker.spread(by[None, :, a])
         if not dofs or name.startswith("amhe/"):
             continue
         against = partial(_of, f"force of {name}", values[0, :, dofs[0]])
@@ -37,20 +45,20 @@ def drive_causes(scene: Scene) -> Iterator[Cause]:
             words = says(f"{name} has no command and acts: remove it, or give its command")
             yield Cause("idle actuator", name, dofs, -values, words, against)
             continue
-        servo = np.abs(by[:, a] - scene.commands[:, a]).max() > 0.0
-        if servo and not _gain_is_free(scene, a):
+        servo = np.abs(by[:, a] - maker.commands[:, a]).max() > 0.0
+        if servo and not _gain_is_free(maker, a):
             words = _times(f"{name} gives", "of what the model says")
             yield Cause("gain", name, dofs, values, words, against, lambda c, sd, n=name: _gain(n))
         words = _times(f"the command of {name} acts", "times as the model says")
-        yield Cause("command", name, *scene.spread(scene.commands[None, :, a]), words, against)
-        yield from _inside(scene, a)
-    if (total := scene.commands.sum(axis=1)).any():
-        dofs, values = scene.spread(-scene.change(total)[None])
+        yield Cause("command", name, *maker.spread(maker.commands[None, :, a]), words, against)
+        yield from _inside(maker, a)
+    if (total := maker.commands.sum(axis=1)).any():
+        dofs, values = maker.spread(-maker.change(total)[None])
         yield Cause(
             "delay", "commands", dofs, values,
             lambda c, sd: f"commands act {number(1e3 * c[0], 1e3 * sd[0])} ms later",
             partial(_of, "change of the command's force", values[0, :, dofs[0]]),
-            lambda c, sd: _delay(float(c[0])) if c[0] > 0.0 and scene.system.edits.prompt else {},
+            lambda c, sd: _delay(float(c[0])) if c[0] > 0.0 and maker.system.edits.prompt else {},
         )  # fmt: skip
 
 
@@ -74,24 +82,24 @@ def _delay(late: float) -> dict[str, Any]:
     return {"command_delay": entry | {"targets": [{"set": "command_delay"}]}}
 
 
-def _gain_is_free(scene: Scene, actuator: int) -> bool:
+def _gain_is_free(maker: CauseMaker, actuator: int) -> bool:
     fields = ("actuator_gainprm", "actuator_biasprm", "actuator_gear")
-    return any(scene.free(field, actuator, column) for field in fields for column in (0, 1))
+    return any(maker.free(field, actuator, column) for field in fields for column in (0, 1))
 
 
-def _inside(scene: Scene, a: int) -> Iterator[Cause]:
+def _inside(maker: CauseMaker, a: int) -> Iterator[Cause]:
     """A position servo whose gains act inside a limit, or whose target moves no faster than it may."""
-    model, motion, name = scene.model, scene.motion, scene.model.actuator(a).name
-    joint, place = driven_joint(model, a), controls(model, scene.system.input_spec)
+    model, motion, name = maker.model, maker.motion, maker.model.actuator(a).name
+    joint, place = driven_joint(model, a), controls(model, maker.system.input_spec)
     if joint is None or place is None or commanded(model, a) != "position" or inputs_of(model, a):
         return
-    if (j := scene.moved.get(int(model.joint(joint).dofadr[0]))) is None:
+    if (j := maker.moved.get(int(model.joint(joint).dofadr[0]))) is None:
         return
     gear, at = float(model.actuator_gear[a, 0]), int(model.actuator_actadr[a])
     q, v = gear * j.q, gear * j.v
     target = motion.inputs[:, place.start + int(model.actuator_ctrladr[a])] if at < 0 else motion.act[:, at]
     gain, bias = float(model.actuator_gainprm[a, 0]), model.actuator_biasprm[a]
-    now, turn = scene.found.forces.by[:, a, j.dof], bias[0] + bias[1] * q
+    now, turn = maker.found.forces.by[:, a, j.dof], bias[0] + bias[1] * q
     fast = float(np.quantile(np.abs(v), 0.998))
     pull = gain * target + turn
     pulls = [("servo limit", most, np.clip(pull, -most, most)) for most in np.quantile(np.abs(pull), LIMITS)]
@@ -99,8 +107,8 @@ def _inside(scene: Scene, a: int) -> Iterator[Cause]:
         moved = [_slewed(target[s], q[s], most * motion.period) for s in motion.stretches]
         pulls.append(("slew limit", most, gain * np.concatenate(moved) + turn))
     for kind, most, values in pulls:
-        change = gear * scene.change(values)  # another delay than the model's, too
-        factor, slows, _ = _replaced(scene, j.dof, now, gear * values, -gear * v, -change)
+        change = gear * maker.change(values)  # another delay than the model's, too
+        factor, slows, _ = _replaced(maker, j.dof, now, gear * values, -gear * v, -change)
         if factor <= 0.0 or (kind == "servo limit" and slows <= 0.0):
             continue
         drive = f"as {factor * gain:.2g} {j.f}/{j.u} less {slows:.2g} {j.f} s/{j.u}"
@@ -108,7 +116,7 @@ def _inside(scene: Scene, a: int) -> Iterator[Cause]:
             "servo limit": (
                 f"{name} never exceeds {fast:.2g} {j.u}/s: its gains act inside a limit, "
                 f"{drive} up to {factor * most:.2g} {j.f}",
-                lambda c, sd, how=(factor, factor * most, slows): _limited(scene, a, j, *how),
+                lambda c, sd, how=(factor, factor * most, slows): _limited(maker, a, j, *how),
             ),
             "slew limit": (
                 f"{name} follows its command at no more than {most:.2g} {j.u}/s (a profile, slewmax of a "
@@ -117,7 +125,7 @@ def _inside(scene: Scene, a: int) -> Iterator[Cause]:
             ),
         }[kind]
         columns = [gear * (factor * values - slows * v) - now, -change]
-        yield replace(scene.on(j, kind, columns, says(text), "speed", repair), place=name)
+        yield replace(maker.on(j, kind, columns, says(text), "speed", repair), place=name)
 
 
 def _slewed(target: FloatArray, start: FloatArray, step: float) -> FloatArray:
@@ -128,12 +136,12 @@ def _slewed(target: FloatArray, start: FloatArray, step: float) -> FloatArray:
     return found
 
 
-def _replaced(scene: Scene, dof: int, now: FloatArray, *columns: FloatArray) -> FloatArray:
+def _replaced(maker: CauseMaker, dof: int, now: FloatArray, *columns: FloatArray) -> FloatArray:
     """Coefficients of columns of force that would best be there in place of one force, shape (m,)."""
-    found, dofs = scene.found, list(scene.motion.dofs)
-    values = np.zeros((len(columns) + 1, len(scene.time), scene.model.nv))
+    found, dofs = maker.found, list(maker.motion.dofs)
+    values = np.zeros((len(columns) + 1, len(maker.time), maker.model.nv))
     values[..., dof] = (now, *columns)
-    moved = accelerations(found.forces.mass[found.rows], scene.spread(values)[1], dofs)
+    moved = accelerations(found.forces.mass[found.rows], maker.spread(values)[1], dofs)
     residual, slopes = found.residual[found.rows], found.slopes[:, found.rows]
     known = np.concatenate([moved[1:], slopes]).reshape(len(columns) + len(slopes), -1)
     prior = np.r_[np.zeros(len(columns)), np.ones(len(slopes))] * (residual**2).mean()
@@ -142,38 +150,40 @@ def _replaced(scene: Scene, dof: int, now: FloatArray, *columns: FloatArray) -> 
     return np.linalg.solve(known @ known.T + np.diag(prior), wanted)[: len(columns)]
 
 
-def _limited(scene: Scene, a: int, j: Moved, factor: float, most: float, slows: float) -> dict[str, Any]:
+def _limited(
+    maker: CauseMaker, a: int, j: MeasuredDof, factor: float, most: float, slows: float
+) -> dict[str, Any]:
     """Parameters of a servo that pulls in proportion up to a limit, and is slowed as by drag."""
-    name, found = scene.model.actuator(a).name, {}
-    if not scene.model.actuator_forcelimited[a]:
+    name, found = maker.model.actuator(a).name, {}
+    if not maker.model.actuator_forcelimited[a]:
         return {}
     for word, field, row, column, value in (
-        ("gain", "actuator_gainprm", a, 0, factor * scene.now("actuator_gainprm", a)),
+        ("gain", "actuator_gainprm", a, 0, factor * maker.now("actuator_gainprm", a)),
         ("force_limit", "actuator_forcerange", a, 1, most),
-        ("damping", "dof_damping", j.dof, 0, scene.now("dof_damping", j.dof) + slows),
-        ("actuator_damping", "actuator_biasprm", a, 2, -0.1 * scene.now("actuator_biasprm", a, 2)),
+        ("damping", "dof_damping", j.dof, 0, maker.now("dof_damping", j.dof) + slows),
+        ("actuator_damping", "actuator_biasprm", a, 2, -0.1 * maker.now("actuator_biasprm", a, 2)),
     ):
         where = {"joint": j.name} if word == "damping" else {"actuator": name}
-        if value > 0.0 or (field, row, column) in scene.set:
-            found |= scene.became((field, row, column), value, 0.0, **where, set=word)
+        if value > 0.0 or (field, row, column) in maker.set:
+            found |= maker.became((field, row, column), value, 0.0, **where, set=word)
     return found
 
 
-def prior_causes(scene: Scene) -> Iterator[Cause]:
+def prior_causes(maker: CauseMaker) -> Iterator[Cause]:
     """Values that the logs want farther off than their priors allow.
 
     None of an inertia: a body without one, that nothing pulls, moves as it likes.
     """
-    found, space, dofs = scene.found, scene.system.space, list(scene.motion.dofs)
+    found, space, dofs = maker.found, maker.system.space, list(maker.motion.dofs)
     fields: dict[str, set[str]] = {}
-    for cell, parameter in scene.set.items():
+    for cell, parameter in maker.set.items():
         fields.setdefault(parameter.name, set()).add(cell[0])
-    scales = scale_of(scene.system)
+    scales = scale_of(maker.system)
     for parameter, slopes, scale in zip(space.parameters, found.slopes[:, found.rows], scales, strict=True):
         own = tuple(d for d, moved in zip(dofs, np.abs(slopes).max(axis=0), strict=True) if moved)
         if parameter.owner or not own or not fields.get(parameter.name, _INERT).isdisjoint(_INERT):
             continue
-        force = np.zeros((1, len(slopes), scene.model.nv))
+        force = np.zeros((1, len(slopes), maker.model.nv))
         mass = found.forces.mass[found.rows][:, dofs][:, :, dofs]
         force[0][:, dofs] = np.einsum("nij,nj->ni", mass, slopes)
 

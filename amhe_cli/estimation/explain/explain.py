@@ -10,7 +10,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Window
 from amhe_cli.estimation.core.result import Missing, MissingRow
-from amhe_cli.estimation.explain.candidate import Scene
+from amhe_cli.estimation.explain.candidate import CauseMaker
 from amhe_cli.estimation.explain.drives import drive_causes, prior_causes
 from amhe_cli.estimation.explain.inputs import mended
 from amhe_cli.estimation.explain.joints import joint_causes
@@ -86,8 +86,8 @@ def _forced(
     found = unexplained(system, parts, z)
     if found is None or not found.stretches:
         return Missing(untested="no motion was measured away from contacts"), 0.0 * z
-    dofs, scene = list(found.motion.dofs), Scene(system, found)
-    tried = (*joint_causes(scene), *drive_causes(scene), *prior_causes(scene))
+    dofs, maker = list(found.motion.dofs), CauseMaker(system, found)
+    tried = (*joint_causes(maker), *drive_causes(maker), *prior_causes(maker))
     candidates = [cause for cause in tried if cause.dofs]
     mass, made = found.forces.mass[found.rows], _regression(found)
     columns = [

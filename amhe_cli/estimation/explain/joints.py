@@ -9,7 +9,15 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.estimation.explain.candidate import Cause, Moved, Scene, number, positive, says, signed
+from amhe_cli.estimation.explain.candidate import (
+    Cause,
+    CauseMaker,
+    MeasuredDof,
+    number,
+    positive,
+    says,
+    signed,
+)
 from amhe_cli.system.model.elements import axis_in
 
 #: Numbers of a joint that may be wrong: kind -> what it is, with '#' for its size; field and column of the
@@ -36,59 +44,59 @@ _CURVED = 0.5
 _GRAVITY = 9.81
 
 
-def joint_causes(scene: Scene) -> Iterator[Cause]:
+def joint_causes(maker: CauseMaker) -> Iterator[Cause]:
     """Candidates on each measured degree of freedom; more of hinges and slides."""
-    hinges = [j for j in scene.moved.values() if j.place >= 0]
-    for j in scene.moved.values():
-        yield from _numbers(scene, j)
-        yield from _in_time(scene, j)
+    hinges = [j for j in maker.moved.values() if j.place >= 0]
+    for j in maker.moved.values():
+        yield from _numbers(maker, j)
+        yield from _in_time(maker, j)
     for j in hinges:
-        yield from _springs(scene, j)
-        yield from _friction(scene, j)
-        yield from _limits(scene, j)
-        yield from _repeating(scene, j)
+        yield from _springs(maker, j)
+        yield from _friction(maker, j)
+        yield from _limits(maker, j)
+        yield from _repeating(maker, j)
         for other in hinges:
             if other is not j:
-                yield from _coupling(scene, j, other)
+                yield from _coupling(maker, j, other)
 
 
-def _numbers(scene: Scene, j: Moved) -> Iterator[Cause]:
+def _numbers(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
     """Numbers of the model that are too small, or too large."""
     columns = {"viscous": j.v, "dry": j.way, "quadratic": j.v * np.abs(j.v), "armature": j.a}
     kg = "kg m^2" if j.u == "rad" else "kg"
     for kind, (text, field, word, against) in NUMBERS.items():
-        if scene.free(field, j.dof):
+        if maker.free(field, j.dof):
             continue
-        has, text = scene.now(field, j.dof), text.format(f=j.f, u=j.u, kg=kg)
+        has, text = maker.now(field, j.dof), text.format(f=j.f, u=j.u, kg=kg)
 
         def words(c: FloatArray, sd: FloatArray, text: str = text) -> str:
             return says(text + " less than the model has" * bool(c[0] >= 0.0), 0.0)(c[:1], sd[:1])
 
         def repair(c: FloatArray, sd: FloatArray, field: str = field, word: str = word) -> dict[str, Any]:
-            value = scene.now(field, j.dof) - float(c[0])
-            return scene.became((field, j.dof, 0), value, float(sd[0]), joint=j.name, set=word)
+            value = maker.now(field, j.dof) - float(c[0])
+            return maker.became((field, j.dof, 0), value, float(sd[0]), joint=j.name, set=word)
 
-        made = scene.on(j, kind, [columns[kind]], words, against, repair if j.place >= 0 else None)
+        made = maker.on(j, kind, [columns[kind]], words, against, repair if j.place >= 0 else None)
         yield replace(made, most=has)
 
 
-def _in_time(scene: Scene, j: Moved) -> Iterator[Cause]:
+def _in_time(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
     """A constant force, and what changes slowly."""
-    later = scene.time - scene.time.mean()
+    later = maker.time - maker.time.mean()
     constant = says(f"a constant force of # {j.f}")
 
     def repair(c: FloatArray, sd: FloatArray) -> dict[str, Any]:
-        return _soft_spring(scene, j, float(c[0])) if j.place >= 0 else {}
+        return _soft_spring(maker, j, float(c[0])) if j.place >= 0 else {}
 
-    yield scene.on(j, "constant", [np.ones_like(later)], constant, repair=repair)
-    yield scene.on(j, "drift", [later], says(f"a force that drifts by # {j.f}/s"))
+    yield maker.on(j, "constant", [np.ones_like(later)], constant, repair=repair)
+    yield maker.on(j, "drift", [later], says(f"a force that drifts by # {j.f}/s"))
     fading = says(f"dry friction that changes by # {j.f}/s", -1.0)
-    yield scene.on(j, "fading friction", [j.way * later], fading)
+    yield maker.on(j, "fading friction", [j.way * later], fading)
 
 
-def _springs(scene: Scene, j: Moved) -> Iterator[Cause]:
+def _springs(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
     """A spring, and a weight that a hinge turns."""
-    stiffness = scene.free("jnt_stiffness", j.joint)
+    stiffness = maker.free("jnt_stiffness", j.joint)
 
     def spring(c: FloatArray, sd: FloatArray) -> str:
         return f"a spring of {number(-c[0], sd[0])} {j.f}/{j.u} about {-c[1] / c[0]:.2g} {j.u}"
@@ -97,18 +105,18 @@ def _springs(scene: Scene, j: Moved) -> Iterator[Cause]:
         size = number(np.hypot(*c), np.hypot(*sd))
         return f"a weight off its axis: {size} {j.f}, highest at {np.arctan2(c[0], c[1]):.2g} rad"
 
-    yield scene.on(
+    yield maker.on(
         j, "spring", [j.q, np.ones_like(j.q)], spring, "position",
-        None if stiffness else lambda c, sd: _spring(scene, j, c, sd),
+        None if stiffness else lambda c, sd: _spring(maker, j, c, sd),
     )  # fmt: skip
     if j.u == "rad" and np.ptp(j.q) > _CURVED:
-        yield scene.on(
-            j, "sine", [np.sin(j.q), np.cos(j.q)], weight, "position", lambda c, sd: _off_axis(scene, j, c)
+        yield maker.on(
+            j, "sine", [np.sin(j.q), np.cos(j.q)], weight, "position", lambda c, sd: _off_axis(maker, j, c)
         )
 
 
-def _spring(scene: Scene, j: Moved, c: FloatArray, sd: FloatArray) -> dict[str, Any]:
-    has, at = scene.now("jnt_stiffness", j.joint), scene.now("qpos_spring", j.place)
+def _spring(maker: CauseMaker, j: MeasuredDof, c: FloatArray, sd: FloatArray) -> dict[str, Any]:
+    has, at = maker.now("jnt_stiffness", j.joint), maker.now("qpos_spring", j.place)
     if (stiffness := has - float(c[0])) <= 0.0:
         return {}
     rest = float(has * at + c[1]) / stiffness
@@ -119,31 +127,31 @@ def _spring(scene: Scene, j: Moved, c: FloatArray, sd: FloatArray) -> dict[str, 
     }
 
 
-def _soft_spring(scene: Scene, j: Moved, force: float) -> dict[str, Any]:
+def _soft_spring(maker: CauseMaker, j: MeasuredDof, force: float) -> dict[str, Any]:
     """A constant force: that of a spring so long that motion hardly changes it."""
-    if scene.free("jnt_stiffness", j.joint) or scene.free("qpos_spring", j.place):
+    if maker.free("jnt_stiffness", j.joint) or maker.free("qpos_spring", j.place):
         return {}
-    stiffness = scene.now("jnt_stiffness", j.joint) or 0.01 * abs(force) / float(np.ptp(j.q))
-    rest = scene.now("qpos_spring", j.place) + force / stiffness
+    stiffness = maker.now("jnt_stiffness", j.joint) or 0.01 * abs(force) / float(np.ptp(j.q))
+    rest = maker.now("qpos_spring", j.place) + force / stiffness
     fixed = {"nominal": stiffness, "prior_sd": 0.0, "targets": [{"joint": j.name, "set": "stiffness"}]}
     free = signed(rest, abs(rest), {"joint": j.name, "set": "spring_rest"})
     return {f"{j.name}_stiffness": fixed, f"{j.name}_rest": free}
 
 
-def _off_axis(scene: Scene, j: Moved, along: FloatArray) -> dict[str, Any]:
+def _off_axis(maker: CauseMaker, j: MeasuredDof, along: FloatArray) -> dict[str, Any]:
     """A centre of mass that is elsewhere, of the heaviest part of the body that a hinge moves.
 
     Args:
-        scene: The scene.
+        maker: The maker.
         j: The hinge.
         along: The force by sine and cosine of its angle, shape (2,).
     """
-    model = scene.model
+    model = maker.model
     parts = np.flatnonzero(model.body_weldid == model.body_weldid[model.jnt_bodyid[j.joint]])
     body = int(parts[np.argmax(model.body_mass[parts])])
     across = np.argsort(np.abs(axis_in(model, j.joint, body)))[:2]
     weight, name = float(model.body_mass[body]) * _GRAVITY, model.body(body).name
-    if not weight or not name or any(scene.free("body_ipos", body, int(i)) for i in across):
+    if not weight or not name or any(maker.free("body_ipos", body, int(i)) for i in across):
         return {}
     far = float(np.hypot(*along)) / weight
     now = model.body_ipos[body]
@@ -157,7 +165,7 @@ def _off_axis(scene: Scene, j: Moved, along: FloatArray) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _friction(scene: Scene, j: Moved) -> Iterator[Cause]:
+def _friction(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
     """Friction that a gear has besides a constant."""
 
     def loaded(c: FloatArray, sd: FloatArray) -> dict[str, Any]:
@@ -166,7 +174,7 @@ def _friction(scene: Scene, j: Moved) -> Iterator[Cause]:
         return {f"{j.name}_load_friction": entry} if c[0] < 0.0 else {}
 
     words = says("friction that grows with the load: # of it", -1.0)
-    yield scene.on(j, "load friction", [np.abs(j.given) * j.way], words, "speed", loaded)
+    yield maker.on(j, "load friction", [np.abs(j.given) * j.way], words, "speed", loaded)
     for slow in np.sqrt((j.v**2).mean()) * np.array(_SLOW):
 
         def rising(c: FloatArray, sd: FloatArray, slow: float = float(slow)) -> dict[str, Any]:
@@ -178,46 +186,46 @@ def _friction(scene: Scene, j: Moved) -> Iterator[Cause]:
             return entries if c[0] < 0.0 else {}
 
         words = says(f"friction larger by # {j.f} below {slow:.2g} {j.u}/s", -1.0)
-        yield scene.on(j, "stribeck", [j.way * np.exp(-((j.v / slow) ** 2))], words, "speed", rising)
+        yield maker.on(j, "stribeck", [j.way * np.exp(-((j.v / slow) ** 2))], words, "speed", rising)
 
 
-def _limits(scene: Scene, j: Moved) -> Iterator[Cause]:
+def _limits(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
     """Ends of force and speed, and places where something touches."""
     for quantile in LIMITS:
         top, fast = np.quantile(np.abs(j.given), quantile), np.quantile(np.abs(j.v), quantile)
         if top > 0.0:
             words = says(f"its drive gives no more than about {top:.2g} {j.f}")
-            yield scene.on(j, "force limit", [np.clip(j.given, -top, top) - j.given], words)
+            yield maker.on(j, "force limit", [np.clip(j.given, -top, top) - j.given], words)
         beyond = np.sign(j.v) * np.maximum(np.abs(j.v) - fast, 0.0)
-        yield scene.on(j, "speed limit", [beyond], says(f"it is held back above {fast:.2g} {j.u}/s"), "speed")
+        yield maker.on(j, "speed limit", [beyond], says(f"it is held back above {fast:.2g} {j.u}/s"), "speed")
     for quantile in _PLACES:
         for side, word in ((1.0, "above"), (-1.0, "below")):
             at = np.quantile(side * j.q, quantile)
             words = says(f"a force only {word} {side * at:.2g} {j.u}: something touches there")
-            yield scene.on(j, "contact", [np.maximum(side * j.q - at, 0.0)], words, "position")
+            yield maker.on(j, "contact", [np.maximum(side * j.q - at, 0.0)], words, "position")
 
 
-def _repeating(scene: Scene, j: Moved) -> Iterator[Cause]:
+def _repeating(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
     """What repeats with the angle, or in time."""
-    band, usual = scene.motion.band, np.abs(j.v).mean()
+    band, usual = maker.motion.band, np.abs(j.v).mean()
 
     def wave(kind: str, phase: FloatArray, text: str, against: str) -> Cause:
-        return scene.on(j, kind, [np.sin(phase), np.cos(phase)], says(f"# {j.f} {text}", 0.0), against)
+        return maker.on(j, kind, [np.sin(phase), np.cos(phase)], says(f"# {j.f} {text}", 0.0), against)
 
     for waves in _WAVES if j.u == "rad" else ():
         finest = 2.0 * np.pi / waves
         if np.ptp(j.q) > _PASSED * finest and usual / finest < band:
             text = f"that repeats {waves:.0f} times a turn (cogging)"
             yield wave("cogging", waves * j.q, text, "position")
-    lowest = 2.0 / max(np.ptp(scene.time), 1e-9)
+    lowest = 2.0 / max(np.ptp(maker.time), 1e-9)
     for hertz in np.linspace(lowest, band, _TIMES) if band > lowest else ():
-        phase = 2.0 * np.pi * hertz * scene.motion.time
+        phase = 2.0 * np.pi * hertz * maker.motion.time
         yield wave("periodic", phase, f"at {hertz:.2g} Hz: something rocks or turns", "time")
 
 
-def _coupling(scene: Scene, j: Moved, other: Moved) -> Iterator[Cause]:
+def _coupling(maker: CauseMaker, j: MeasuredDof, other: MeasuredDof) -> Iterator[Cause]:
     """A force that comes with another joint's motion."""
     for what, values in (("position", other.q), ("speed", other.v), ("acceleration", other.a)):
         words = says(f"# times the {what} of {other.name}")
-        made = scene.on(j, "coupling", [values - values.mean()], words)
-        yield replace(made, against=lambda what=what: scene.drawn(other, what))
+        made = maker.on(j, "coupling", [values - values.mean()], words)
+        yield replace(made, against=lambda what=what: maker.drawn(other, what))
