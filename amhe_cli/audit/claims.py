@@ -29,11 +29,14 @@ _SETTINGS = {"inertia": "mass", "actuator_damping": "gain"}
 _ZERO = {"damping": 0.05, "friction_loss": 0.05, "armature": 0.01}
 #: Sd of a number whose data sheet is not believed: of its logarithm, of a length [m], and of one that was
 #: zero, in units of its own sd.
-WIDE, WIDE_LENGTH, WIDE_ZERO = 1.5, 0.15, 30.0
+WIDE, WIDE_LENGTH, WIDE_ZERO = 1.5, 0.15, 1000.0
 #: Bounds of a number, as factors and in units of the sd of zeros, and of a length [m].
 _RANGE, _RANGE_LENGTH = 300.0, 0.5
 #: Share of the mass of what is welded together from which a body has numbers of its own.
 _WORTHWHILE = 0.05
+
+#: Numbers on one data sheet: their kind, and their element or value.
+Group = tuple[str, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +64,7 @@ class Claim:
     nominal: float
 
     @property
-    def group(self) -> tuple[str, str]:
+    def group(self) -> Group:
         """Equal numbers of one kind stand on one data sheet, and so do the axes of a centre of mass."""
         if self.number.kind == "center_of_mass":
             return self.number.kind, self.number.of
@@ -79,7 +82,7 @@ class Claim:
         elif self.number.kind == "center_of_mass":
             bounds = [self.nominal - _RANGE_LENGTH, self.nominal + _RANGE_LENGTH]
         else:
-            bounds = [0.0, _RANGE * self.sd]
+            bounds = [0.0, 10.0 * self.wide]
         entry: dict[str, Any] = {
             "nominal": self.nominal,
             "bounds": bounds,

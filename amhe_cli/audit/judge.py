@@ -12,8 +12,11 @@ and further errors e of m, of the ledger, are errors e / (V q) of c. The statist
     t = (c - f) / sqrt(1 / q + e / (V q)^2 + s^2),
 
 which noise and the data sheets make a standard normal number. One wrong number pulls at all others. So the
-one that would explain most is not believed any more: its prior becomes wide; and so on, until no other stands
-out (Baarda's data snooping, by groups of numbers on one data sheet).
+one whose data sheet is wrong with the largest Bayes factor is not believed any more: its prior becomes wide;
+and so on, until no other stands out (Baarda's data snooping, by groups of numbers on one data sheet). Of a
+group whose sheet has the width W if it is wrong, and S if it is right, the factor is that of two densities of
+q (c - f): normal, with covariances q + q W q and q + q S q. What the log does not show adds nothing, and what
+W leaves open without need counts against it.
 
 Of many numbers some differ by chance: Holm's steps (1979) keep the chance that a table calls any right number
 contradicted at 5 %, and so the share of such verdicts that are wrong.
@@ -28,11 +31,12 @@ from math import erfc, sqrt
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
+from amhe_cli.core.statistics import positive
 
 #: Share of tables that may call a right number contradicted.
 RATE = 0.05
-#: A group of k numbers stands out from this much of misfit, and this much for each of its numbers.
-_STANDS_OUT, _EACH = 9.0, 2.0
+#: Logarithm of a Bayes factor that is strong evidence (Kass and Raftery 1995, "Bayes factors").
+_STRONG = 3.0
 #: The least of anything that is divided by.
 _TINY = 1e-12
 
@@ -98,27 +102,39 @@ def said(evidence: Findings, rows: Sequence[int], file: FloatArray, sheet: Float
 
 
 def outstanding(
-    evidence: Findings, groups: Mapping[Hashable, Sequence[int]], file: FloatArray, sheet: FloatArray
+    evidence: Findings,
+    groups: Mapping[Hashable, Sequence[int]],
+    file: FloatArray,
+    sheet: FloatArray,
+    wide: FloatArray,
 ) -> Hashable | None:
-    """The group of numbers that would explain most if it were not believed; None: no group stands out.
+    """The group of numbers that most probably has a wrong data sheet; None: no group stands out.
 
     Args:
         evidence: The estimate, every number with its data sheet's sd as its prior, or a wide one.
         groups: Numbers on one data sheet, as parameters.
-        file, sheet: Of all parameters, shape (d,).
+        file, sheet, wide: Of all parameters: what the file says, the sd of a data sheet that is right, and of
+            one that is wrong, shape (d,).
     """
-    known, best, most = evidence.known(), None, 0.0
+    known, best, most = evidence.known(), None, _STRONG
     for name, rows in groups.items():
         at, n, p = list(rows), evidence.prior[0, rows], evidence.prior[1, rows]
         inverse = np.linalg.inv(known[np.ix_(at, at)])
-        q = inverse - np.diag(p**-2.0)
+        q = positive(inverse - np.diag(p**-2.0))
         u = inverse @ evidence.mean[at] - n / p**2 - q @ file[at]
-        spread = q + q @ np.diag(sheet[at] ** 2) @ q
-        worth = float(u @ np.linalg.pinv(spread, rcond=1e-9, hermitian=True) @ u)
-        worth -= _STANDS_OUT + _EACH * (len(at) - 1)
-        if worth > most:
-            best, most = name, worth
+        factor = _log_density(u, q, wide[at]) - _log_density(u, q, sheet[at])
+        if factor > most:
+            best, most = name, factor
     return best
+
+
+def _log_density(u: FloatArray, q: FloatArray, sd: FloatArray) -> float:
+    """Of the score u = q (c - f), where f is known to sd (k,), but for what does not depend on sd."""
+    spread = np.eye(len(u)) + sd[:, None] * q * sd
+    return -0.5 * float(
+        u @ np.linalg.pinv(q + q @ np.diag(sd**2) @ q, rcond=1e-9, hermitian=True) @ u
+        + np.linalg.slogdet(spread)[1]
+    )
 
 
 def chances(t: FloatArray) -> FloatArray:

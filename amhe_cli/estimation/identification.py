@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
+from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief import Belief
 from amhe_cli.core.each_log import named, searched
 from amhe_cli.core.errors import NOTE, ConfigError, EstimationError, LogError, one_of
@@ -121,10 +122,12 @@ def searched_for(
     on_iteration: OnIteration = lambda iteration, total: None,
     *,
     quick: bool = False,
+    near: FloatArray | None = None,
 ) -> Search:
     """The search of `identify`, whose arguments it takes, without the conclusion.
 
-    `quick`: do not fall back on CMA-ES, and do not warn of parameters that the logs do not depend on.
+    `quick`: do not fall back on CMA-ES, and do not warn of parameters that the logs do not depend on. `near`:
+    begin at this theta, all clips at once, and not at the prior's mean with a few.
     """
     if options.method not in METHODS:
         raise ConfigError(f"`method`: {one_of('method', options.method, METHODS)}")
@@ -140,7 +143,10 @@ def searched_for(
     watch.keep(RESERVE * problem.linearisation)
     kept = Checkpoint(options.checkpoint, problem, options.method)
     known = quick or options.share < 1.0  # a search that begins at values that explain much cannot gain much
-    finding = _search(problem, validation, options.method, watch, kept, known)
+    begin = search.start(problem)
+    if near is not None:
+        begin = search.restart(problem, system.space.clip(system.space.z_of(near)))
+    finding = _search(problem, validation, options.method, watch, kept, known, begin)
     return Search(problem, finding, validation, watch, model)
 
 
@@ -239,17 +245,23 @@ def _no_clips(pool: ClipPool) -> str:
 
 
 def _search(
-    problem: Problem, validation: list[Window], method: str, watch: Watch, kept: Checkpoint, quick: bool
+    problem: Problem,
+    validation: list[Window],
+    method: str,
+    watch: Watch,
+    kept: Checkpoint,
+    quick: bool,
+    begin: SearchState,
 ) -> Finding:
     """Run the method, and CMA-ES from several starts where the linearised one did not help."""
     if not problem.active.any():
-        return replace(search.start(problem), stage="done", settled=True)  # no parameter to search
+        return replace(begin, stage="done", settled=True)  # no parameter to search
     saved = kept.load()
     if isinstance(saved, CmaState):
         return _run(cma.advance, cma.total, problem, saved, watch, kept)
     if method == "cmaes":
         return _run(cma.advance, cma.total, problem, cma.start(problem, 1), watch, kept)
-    found = _run(search.advance, search.total, problem, saved or search.start(problem), watch, kept)
+    found = _run(search.advance, search.total, problem, saved or begin, watch, kept)
     if watch.stopped or quick or not _needs_rescue(problem, found, validation):
         return found
     starts = problem.settings.identify.cmaes_starts

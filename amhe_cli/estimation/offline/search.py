@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray, to_host
+from amhe_cli.core.arrays import BoolArray, FloatArray, to_host
 from amhe_cli.core.errors import EstimationError
 from amhe_cli.core.log import Window
 from amhe_cli.core.settings import IdentifySettings
@@ -53,6 +53,9 @@ LINE = np.array([4.0, 2.0, 1.0, 0.5, 0.2, 0.0])
 #: Where nothing touches, the whole step is tried first, and the others only where the cost falls by another
 #: amount than its slopes predict, by more than this share of it.
 WHOLE, OTHERS, AS_PREDICTED = np.array([1.0, 0.0]), np.array([4.0, 2.0, 0.5, 0.2]), 0.25
+#: Where none of these helps, damped steps are tried: the share of each curvature that is added to it
+#: (Marquardt 1963).
+DAMPED = np.array([0.1, 1.0, 10.0, 100.0])
 #: Near its minimum a rough cost cannot distinguish a good step from none: the longest that completes is
 #: taken.
 BLIND_LINE = np.array([1.0, 0.5, 0.2])
@@ -205,17 +208,20 @@ def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, fo
     reach = np.abs(coordinates(width, step[None])).max() / REACH
     times = channel_times(cost, found.residual, slopes.completed)
 
-    def along(line: FloatArray) -> _Tried:
-        z = problem.system.space.clip(state.z + line[:, None] * step / max(1.0, reach))
+    def along(line: FloatArray, steps: FloatArray) -> _Tried:
+        z = problem.system.space.clip(state.z + steps / max(1.0, reach))
         first = found.first(z - state.z)
         residuals = cost.residuals(z, first if first.shape[2] else None)
         values = objective(cost, residuals, first, times, weight)
         return _Tried(line, z, first, residuals, values + quadratic_prior(z, np.zeros_like(state.z), prior))
 
     blind = problem.rough and state.stage == "polish"
-    tried = [along(BLIND_LINE if blind else LINE if problem.touches else WHOLE)]
+    line = BLIND_LINE if blind else LINE if problem.touches else WHOLE
+    tried = [along(line, line[:, None] * step)]
     if not problem.touches and not _as_predicted(tried[0], float((2.0 * whole - step) @ hessian @ step)):
-        tried.append(along(OTHERS))
+        tried.append(along(OTHERS, OTHERS[:, None] * step))
+        if min(one.values.min() for one in tried) == tried[0].values[-1]:
+            tried.append(along(1.0 / DAMPED, _damped(hessian, whole, problem.active)))
     one = min(tried, key=lambda one: one.values.min())
     best = int(np.argmax(np.isfinite(one.values)) if blind else np.argmin(one.values))
     declared = [state.scale.get(o.channel.key, 1.0) for o in cost.clips.observed]
@@ -246,6 +252,12 @@ class _Tried:
     first: FloatArray
     residuals: Residuals
     values: FloatArray
+
+
+def _damped(hessian: FloatArray, step: FloatArray, active: BoolArray) -> FloatArray:
+    """Gauss-Newton's step, damped by each of `DAMPED`, shape (p, d)."""
+    down, curvature = hessian @ step, np.diag(np.diag(hessian))
+    return np.array([np.linalg.solve(hessian + more * curvature, down) for more in DAMPED]) * active
 
 
 def _as_predicted(tried: _Tried, predicted: float) -> bool:
