@@ -200,7 +200,7 @@ def test_an_estimator_that_is_late_is_warned_of(capsys) -> None:
 @pytest.mark.parametrize(("size", "messages"), [(20_000, 0), (40_000, 10)], ids=["at once", "later"])
 def test_a_full_disk_ends_a_run_and_keeps_its_log(monkeypatch, capsys, size: int, messages: int) -> None:
     """All but the last chunk, which is of 3 s or so of a run; here they are smaller."""
-    monkeypatch.setattr("amhe_cli.logs.messages.mcap_writer.Writer", partial(Writer, chunk_size=20_000))
+    monkeypatch.setattr("amhe_cli.logs.messages.writer.Writer", partial(Writer, chunk_size=20_000))
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     try:
         resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))

@@ -208,15 +208,6 @@ def test_a_lerobot_dataset_gives_them_in_single_precision(tmp_path: Path) -> Non
     np.testing.assert_allclose(found["command.position"][1][:, 0], action, rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.medium
-def test_and_so_the_same_estimate(tmp_path: Path) -> None:
-    estimates = [
-        amhe.identify(SYSTEM, read_log(FORMATS[kind](tmp_path), SYSTEM), threads=1).belief.estimate
-        for kind in ("protobuf", "csv")
-    ]
-    np.testing.assert_array_equal(estimates[0], estimates[1])
-
-
 @pytest.mark.parametrize("form", ["log.csv", "log.npz", "log"])
 @pytest.mark.parametrize("by", ["everything", "the system's signals"])
 @pytest.mark.parametrize("kind", ["mcap", "protobuf", "csv", "hdf5"])

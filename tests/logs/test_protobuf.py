@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer
 
-from amhe_cli.core.errors import AmheError, LogError
+from amhe_cli.core.errors import LogError
 from amhe_cli.core.log import Log
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
@@ -296,34 +296,6 @@ def test_a_damaged_descriptor_set_is_named(tmp_path: Path) -> None:
         assert words in (survey(path).topics[0].problem or "")
 
 
-def test_mutations_never_end_in_a_traceback(tmp_path: Path) -> None:
-    rng = np.random.default_rng(5)
-    whole = [CLASS("JointStates")(**joint_states(i)).SerializeToString() for i in range(T.size)]
-    descriptors = SET.SerializeToString()
-    path = tmp_path / "log.mcap"
-    for number in range(60):
-        changed = [bytearray(message) for message in whole]
-        about = bytearray(descriptors)
-        for message in changed if number % 2 else [about]:
-            for spot in rng.integers(len(message), size=2):
-                message[spot] ^= 1 << int(rng.integers(8))
-        with path.open("wb") as file:
-            writer = Writer(file)
-            writer.start()
-            schema = writer.register_schema("foxglove.JointStates", "protobuf", bytes(about))
-            channel = writer.register_channel("/data", "protobuf", schema)
-            for i, message in enumerate(changed):
-                stamped = START_NS + 10_000_000 * i
-                writer.add_message(channel, stamped, bytes(message), stamped)
-            writer.finish()
-        try:
-            survey(path)
-            read(path, "position", names=("a", "b"))
-        except AmheError as error:
-            assert str(path) in str(error)
-            assert "\n" not in str(error)
-
-
 MODEL = """<mujoco><worldbody>
   <body name="box"><freejoint name="box"/><geom size=".1" mass="1"/></body>
   <body pos="1 0 0"><joint name="a" axis="0 0 1"/><geom size=".1" mass="1"/>
@@ -349,36 +321,3 @@ def test_init_guesses_from_foxglove_types(
     (signal,) = signals.values()
     assert signal["type"] == f"foxglove.{name}"
     assert {key: signal[key] for key in entry} == entry
-
-
-def test_integers_of_any_width_share_a_layout() -> None:
-    """Packed and nested: the numbers are google's, damage is counted."""
-    rng = np.random.default_rng(3)
-    sizes = 2 ** rng.integers(0, 30, size=(100, 5))
-    rows = (rng.normal(size=(100, 5)) * sizes).astype(int).tolist()
-    contents = [
-        {
-            "timestamp": abs(a), "mode": abs(b), "raw": [c, -d], "extra": {"ticks": e, "q": 0.5},
-            "motors": [{"ticks": b}, {"q": 1.5, "ticks": c, "on": bool(a % 2)}],
-        }
-        for a, b, c, d, e in rows
-    ]  # fmt: skip
-    payloads = [CLASS("Robot")(**content).SerializeToString() for content in contents]
-    payloads[40] = payloads[40][:-1] + b"\xff"
-    connection = Connection(
-        "/data", "foxglove.Robot", "protobuf", SET.SerializeToString().decode("latin-1"), ""
-    )
-    stamps = list(range(100))
-    batch = batch_of(connection, stamps, stamps, payloads)
-    splitter = Splitter(connection, Definitions())
-    groups = list(splitter.split(batch))
-    assert len(groups) < 10
-    found = {}
-    paths = ("mode", "raw[0]", "raw[1]", "extra.ticks", "motors[0].ticks", "motors[1].ticks", "motors[1].q")
-    for group in groups:
-        values = [group.layout.columns(path)[0].read(group.rows) for path in paths]
-        found |= {int(i): [float(v[n]) for v in values] for n, i in enumerate(group.members)}
-    assert splitter.damaged == 1
-    del rows[40]
-    kept = [found[i] for i in range(100) if i != 40]
-    assert kept == [[abs(b), c, -d, e, b, c, 1.5] for a, b, c, d, e in rows]

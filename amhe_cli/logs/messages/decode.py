@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,21 +94,8 @@ class _Growing:
         return self if same else _Growing(np.full((self._count, width), np.nan))
 
 
-def _stamps() -> _Growing:
-    return _Growing(np.empty(0, dtype=np.int64))
-
-
-@dataclass(slots=True)
-class _Parts:
-    """What was read so far, and in how many groups."""
-
-    groups: int = 0
-    order: _Growing = field(default_factory=_stamps)
-    log_ns: _Growing = field(default_factory=_stamps)
-    publish_ns: _Growing = field(default_factory=_stamps)
-    header_ns: _Growing = field(default_factory=_stamps)
-    delay_ns: _Growing = field(default_factory=_stamps)
-    values: dict[str, _Growing] = field(default_factory=dict)
+#: Stamps of each sample, and its place among all messages.
+_STAMPS = ("log_ns", "publish_ns", "header_ns", "delay_ns", "order")
 
 
 class SignalDecoder:
@@ -132,7 +119,7 @@ class SignalDecoder:
         self._seen: set[str] = set()
         self._met: set[str] = set()
         self._last: Layout | None = None
-        self._parts = self._fresh()
+        self._begin()
         self._recipes: dict[int, tuple[Layout, list[_Columns]]] = {}
         self.count = self._held = 0
         self._has_header = False
@@ -160,7 +147,7 @@ class SignalDecoder:
         Raises:
             LogError: If no message has a wanted entry or quantity.
         """
-        if not self._parts.groups:
+        if not self._groups:
             frame = self._signal.child_frame
             if frame is not None and self._seen:
                 raise LogError(f"{self._topic}: {one_of('child frame', frame, self._seen)}")
@@ -174,18 +161,10 @@ class SignalDecoder:
 
         What is missing is NaN.
         """
-        parts, self._parts = self._parts, self._fresh()
-        joined = SignalSamples(
-            parts.log_ns.whole(),
-            parts.publish_ns.whole(),
-            parts.header_ns.whole(),
-            parts.delay_ns.whole(),
-            {quantity: values.whole() for quantity, values in parts.values.items()},
-            self._columns,
-            self._has_header,
-            self.info.twist_in_child,
-        )
-        order = parts.order.whole()
+        *stamps, order = (parts.whole() for parts in self._stamps.values())
+        values = {quantity: parts.whole() for quantity, parts in self._values.items()}
+        joined = SignalSamples(*stamps, values, self._columns, self._has_header, self.info.twist_in_child)
+        self._begin()
         if np.all(np.diff(joined.log_ns) >= 0) and np.all(np.diff(order) > 0):  # as in most logs
             return joined
         return joined.pick(np.lexsort((order, joined.log_ns)))
@@ -295,14 +274,14 @@ class SignalDecoder:
             rows, members = rows[filled], members[filled]
             blocks = {quantity: block[filled] for quantity, block in blocks.items()}
         size = members.size
-        zero = np.zeros(size, dtype=np.int64)
-        parts = self._parts
-        parts.groups += 1
-        parts.order.append(self.count + members)
-        parts.log_ns.append(batch.log_ns[members])
-        parts.publish_ns.append(batch.publish_ns[members])
-        parts.header_ns.append(nanoseconds(rows, columns.stamp) if columns.stamp else zero)
-        parts.delay_ns.append(nanoseconds(rows, columns.delay) if columns.delay else zero)
+        self._groups += 1
+        header_ns, delay_ns = (
+            nanoseconds(rows, leaves) if leaves else np.zeros(size, dtype=np.int64)
+            for leaves in (columns.stamp, columns.delay)
+        )
+        stamps = batch.log_ns[members], batch.publish_ns[members], header_ns, delay_ns, self.count + members
+        for name, values in zip(_STAMPS, stamps, strict=True):
+            self._stamps[name].append(values)
         for quantity, leaves in columns.values.items():
             block = blocks[quantity]
             present = [leaf is not None for leaf in leaves]
@@ -310,10 +289,8 @@ class SignalDecoder:
             if quantity in columns.unknown:
                 block[_gather(rows, [columns.unknown[quantity]])[:, 0] == -1.0] = np.nan
             width = len(self._columns.get(quantity, ()))
-            parts.values[quantity] = parts.values[quantity].of_width(width)
-            parts.values[quantity].append(
-                block if block.shape[1] == width else np.full((size, width), np.nan)
-            )
+            self._values[quantity] = held = self._values[quantity].of_width(width)
+            held.append(block if block.shape[1] == width else np.full((size, width), np.nan))
 
     @property
     def lacking(self) -> str:
@@ -333,8 +310,11 @@ class SignalDecoder:
         self._met.clear()
         self._last, self._held = None, 0
 
-    def _fresh(self) -> _Parts:
-        return _Parts(values={quantity: _Growing(np.empty((0, 0))) for quantity in self._wanted})
+    def _begin(self) -> None:
+        """Hold nothing of the messages so far."""
+        self._groups = 0
+        self._stamps = {name: _Growing(np.empty(0, dtype=np.int64)) for name in _STAMPS}
+        self._values = {quantity: _Growing(np.empty((0, 0))) for quantity in self._wanted}
 
 
 def time_leaves(layout: Layout, path: str) -> tuple[Leaf, Leaf] | None:

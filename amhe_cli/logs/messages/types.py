@@ -6,7 +6,7 @@ A type that is not here is read through the paths of `Signal.fields`, in the sam
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 _XYZ = ("x", "y", "z")
 #: ROS stores quaternions as x, y, z, w; picking the columns in our order converts them.
@@ -35,98 +35,68 @@ class TypeInfo:
     unknown: Mapping[str, str] | None = None
 
 
-def _plain(twist_in_child: bool = False, unknown: Mapping[str, str] | None = None, **at: str) -> TypeInfo:
+def _at(twist_in_child: bool = False, elements: str | None = None, **at: str) -> TypeInfo:
+    """Vectors and quaternions at paths, of each of `elements` where there are several."""
     columns = {q: _WXYZ if q == "orientation" else _XYZ for q in at}
     fields = {q: tuple(f"{at[q]}.{c}" for c in columns[q]) for q in at}
-    return TypeInfo(fields, columns, twist_in_child=twist_in_child, unknown=unknown)
+    return TypeInfo(fields, columns, elements=elements, twist_in_child=twist_in_child)
 
 
 def _pose(at: str) -> TypeInfo:
-    return _plain(position=f"{at}.position", orientation=f"{at}.orientation")
+    return _at(position=f"{at}.position", orientation=f"{at}.orientation")
 
 
-def _transform(at: str = "", elements: str | None = None) -> TypeInfo:
-    """A translation and a rotation at a path; of each of `elements` where there are several."""
-    head = f"{at}." if at else ""
-    info = _plain(position=f"{head}translation", orientation=f"{head}rotation")
-    return TypeInfo(info.fields, info.columns, elements=elements)
-
-
-def _twist(at: str) -> TypeInfo:
-    return _plain(linear_velocity=f"{at}.linear", angular_velocity=f"{at}.angular")
-
-
-_NUMBERS = TypeInfo({"value": ("data",)}, {})
-_JOINT_STATE = TypeInfo(
-    {"position": ("position",), "velocity": ("velocity",), "effort": ("effort",)}, {}, names="name"
+_POINT_POSE = _at(position="position", orientation="orientation")
+_TRANSFORM = {"position": "transform.translation", "orientation": "transform.rotation"}
+_FOXGLOVE_TRANSFORM = {"position": "translation", "orientation": "rotation"}
+_IMU = _at(
+    orientation="orientation", angular_velocity="angular_velocity", linear_acceleration="linear_acceleration"
 )
-_JOINT_TRAJECTORY = TypeInfo(
-    {"position": ("positions",), "velocity": ("velocities",), "effort": ("effort",)},
-    {},
-    names="joint_names",
-    elements="points",
-)
+_JOINTS = {"position": ("position",), "velocity": ("velocity",), "effort": ("effort",)}
+_JOINT_STATE = TypeInfo(_JOINTS, {}, names="name")
+_POINTS = {"position": ("positions",), "velocity": ("velocities",), "effort": ("effort",)}
+_FOXGLOVE = {
+    "SceneUpdate": TypeInfo({}, {}),  # what 3-D panels draw: thousands of corners, no measurement
+    "Imu": _IMU,
+    "Pose": _POINT_POSE,
+    "PoseInFrame": _pose("pose"),
+    "FrameTransform": _at(**_FOXGLOVE_TRANSFORM),
+    "FrameTransforms": _at(elements="transforms", **_FOXGLOVE_TRANSFORM),
+    "JointState": _JOINT_STATE,
+    "JointStates": _JOINT_STATE,
+    "Odometry": _at(
+        position="pose.position", orientation="pose.orientation",
+        linear_velocity="linear_velocity", angular_velocity="angular_velocity", twist_in_child=True,
+    ),
+}  # fmt: skip
 
 TYPES: Mapping[str, TypeInfo] = {
     "sensor_msgs/msg/JointState": _JOINT_STATE,
-    "trajectory_msgs/msg/JointTrajectory": _JOINT_TRAJECTORY,
-    "nav_msgs/msg/Odometry": _plain(
-        position="pose.pose.position",
-        orientation="pose.pose.orientation",
-        linear_velocity="twist.twist.linear",
-        angular_velocity="twist.twist.angular",
-        twist_in_child=True,
+    "trajectory_msgs/msg/JointTrajectory": TypeInfo(_POINTS, {}, names="joint_names", elements="points"),
+    "nav_msgs/msg/Odometry": _at(
+        position="pose.pose.position", orientation="pose.pose.orientation",
+        linear_velocity="twist.twist.linear", angular_velocity="twist.twist.angular", twist_in_child=True,
     ),
-    "geometry_msgs/msg/Pose": _plain(position="position", orientation="orientation"),
+    "geometry_msgs/msg/Pose": _POINT_POSE,
     "geometry_msgs/msg/PoseStamped": _pose("pose"),
     "geometry_msgs/msg/PoseWithCovarianceStamped": _pose("pose.pose"),
-    "geometry_msgs/msg/PointStamped": _plain(position="point"),
-    "geometry_msgs/msg/TransformStamped": _transform("transform"),
-    "tf2_msgs/msg/TFMessage": _transform("transform", elements="transforms"),
-    "tf/msg/tfMessage": _transform("transform", elements="transforms"),
-    "geometry_msgs/msg/Twist": _plain(linear_velocity="linear", angular_velocity="angular"),
-    "geometry_msgs/msg/TwistStamped": _twist("twist"),
-    "geometry_msgs/msg/TwistWithCovarianceStamped": _twist("twist.twist"),
-    "geometry_msgs/msg/Wrench": _plain(force="force", torque="torque"),
-    "geometry_msgs/msg/WrenchStamped": _plain(force="wrench.force", torque="wrench.torque"),
-    "sensor_msgs/msg/Imu": _plain(
-        orientation="orientation",
-        angular_velocity="angular_velocity",
-        linear_acceleration="linear_acceleration",
-        unknown={
-            "orientation": "orientation_covariance[0]",
-            "angular_velocity": "angular_velocity_covariance[0]",
-            "linear_acceleration": "linear_acceleration_covariance[0]",
-        },
+    "geometry_msgs/msg/PointStamped": _at(position="point"),
+    "geometry_msgs/msg/TransformStamped": _at(**_TRANSFORM),
+    "tf2_msgs/msg/TFMessage": _at(elements="transforms", **_TRANSFORM),
+    "tf/msg/tfMessage": _at(elements="transforms", **_TRANSFORM),
+    "geometry_msgs/msg/Twist": _at(linear_velocity="linear", angular_velocity="angular"),
+    "geometry_msgs/msg/TwistStamped": _at(linear_velocity="twist.linear", angular_velocity="twist.angular"),
+    "geometry_msgs/msg/TwistWithCovarianceStamped": _at(
+        linear_velocity="twist.twist.linear", angular_velocity="twist.twist.angular"
     ),
+    "geometry_msgs/msg/Wrench": _at(force="force", torque="torque"),
+    "geometry_msgs/msg/WrenchStamped": _at(force="wrench.force", torque="wrench.torque"),
+    "sensor_msgs/msg/Imu": replace(_IMU, unknown={q: f"{q}_covariance[0]" for q in _IMU.fields}),
+    **{f"foxglove.{name}": info for name, info in _FOXGLOVE.items()},
+    **{f"foxglove_msgs/msg/{name}": info for name, info in _FOXGLOVE.items()},
     **{
-        f"{package}{name}": info
-        for package in ("foxglove.", "foxglove_msgs/msg/")
-        for name, info in {
-            "SceneUpdate": TypeInfo({}, {}),  # what 3-D panels draw: thousands of corners, no measurement
-            "Imu": _plain(
-                orientation="orientation",
-                angular_velocity="angular_velocity",
-                linear_acceleration="linear_acceleration",
-            ),
-            "Pose": _plain(position="position", orientation="orientation"),
-            "PoseInFrame": _pose("pose"),
-            "FrameTransform": _transform(),
-            "FrameTransforms": _transform(elements="transforms"),
-            "JointState": _JOINT_STATE,
-            "JointStates": _JOINT_STATE,
-            "Odometry": _plain(
-                position="pose.position",
-                orientation="pose.orientation",
-                linear_velocity="linear_velocity",
-                angular_velocity="angular_velocity",
-                twist_in_child=True,
-            ),
-        }.items()
-    },
-    **{
-        f"std_msgs/msg/{name}": _NUMBERS
+        f"std_msgs/msg/{name}": TypeInfo({"value": ("data",)}, {})
         for width in ("Float32", "Float64", "Int8", "Int16", "Int32", "Int64", "UInt8", "UInt16", "UInt32")
         for name in (width, f"{width}MultiArray")
     },
-}
+}  # fmt: skip
