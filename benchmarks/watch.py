@@ -55,7 +55,7 @@ class Heard:
 def watched(number: int, seconds: float, at: float) -> tuple[Heard, float]:
     """Run an arm and its watch; what was heard, and when the payload was put on, infinite if it was not."""
     domain, python = str(FIRST_DOMAIN + number), [sys.executable, "-u"]
-    env = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(PROJECT)}
+    env = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join((str(PROJECT), *sys.path))}
     arm = [*python, str(PROJECT / "examples" / "ros2_arm.py"), "--domain", domain, "--seed", str(number)]
     arm += ["--seconds", str(seconds + 60.0), "--at", str(at), "--payload", str(PAYLOAD)]
     watch = [*python, "-m", "amhe_cli", "watch", "--system", "pendulum", "--source", "ros2", "-q"]
