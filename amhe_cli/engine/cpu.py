@@ -23,7 +23,7 @@ from amhe_cli.engine.rollout import (
 from amhe_cli.engine.states import controls, first_activations, without_contacts
 from amhe_cli.system.parameters.gear_friction import OF_GEARS, UPDATE, GearFriction, ahead, beyond
 from amhe_cli.system.parameters.model_edits import ModelEdits
-from amhe_cli.system.parameters.servos import BIAS
+from amhe_cli.system.parameters.servos import BIAS, Servos
 
 #: The records of one batch of rollouts stay below this many bytes; more of them are run in turns.
 RECORD_BYTES = 64 * 2**20
@@ -178,64 +178,66 @@ class CpuEngine:
                 ids=ids,
             )
 
-        gear, drive = self._gear, self._driver(batch, ids)
-        if gear is None and drive is None:
+        if self._gear is None and self._servos is None:
             return run(control)
+        some = slice(None) if len(ids) == batch.nsim else ids  # a view of all is quicker than a copy
+        every = max(1, round(UPDATE / self._model.opt.timestep))
+        drive = None if self._servos is None else self._driver(self._servos, batch, some)
+        hold = None if self._gear is None else self._holder(self._gear, batch, some, every)
 
         def piece(first: int, steps: int) -> dict[str, FloatArray]:
             if drive is not None:
                 drive(control[:, first])
             return run(control[:, first : first + steps])
 
-        every = max(1, round(UPDATE / self._model.opt.timestep))
-        if gear is not None:
-            batch.expand("dof_frictionloss")[ids] = self._fields["dof_frictionloss"][ids]
-            before = batch.state[ids]
+        if hold is not None:
+            before = batch.state[some].copy()
             piece(0, 1)  # for the forces at the start, upon which friction depends
-            batch.state[ids] = before
-        pieces, now, at_once = [], None, every if drive is None else 1
+            batch.state[some] = before
+        pieces, at_once = [], every if drive is None else 1
         for first in range(0, control.shape[1], at_once):
-            if gear is not None and first % every == 0:
-                now = self._set_friction(gear, batch, ids, every, now)
+            if hold is not None and first % every == 0:
+                hold()
             pieces.append(piece(first, at_once))
         return {name: np.concatenate([piece[name] for piece in pieces], axis=1) for name in record}
 
-    def _driver(self, batch: mujoco.batch.Batch, ids: IntArray) -> Callable[[FloatArray], None] | None:
-        """What gives the servos of some simulations their torques under inputs (n, nu); None: MuJoCo does."""
-        if self._servos is None:
-            return None
-        fields, rows, into = self._fields, self._servos.rows, self._fields[BIAS]
-        law = self._servos.law(
-            lambda name: fields[name][ids] if name in fields else getattr(self._model, name)[None]
+    def _driver(
+        self, servos: Servos, batch: mujoco.batch.Batch, some: slice | IntArray
+    ) -> Callable[[FloatArray], None]:
+        """What gives the servos of some simulations their torques under inputs (n, nu)."""
+        fields, into = self._fields, self._fields[BIAS]
+        law = servos.law(
+            lambda name: fields[name][some] if name in fields else getattr(self._model, name)[None]
         )
+        place = (some, servos.rows, 0) if isinstance(some, slice) else (some[:, None], servos.rows, 0)
+        states = [batch.bind(name) for name in ("qpos", "qvel", "act")]
 
         def drive(inputs: FloatArray) -> None:
-            qpos, qvel, act = (batch.bind(name)[ids] for name in ("qpos", "qvel", "act"))
-            into[ids[:, None], rows, 0] = law(qpos, qvel, inputs[:, self._controls], act)
+            into[place] = law(
+                *(state[some] for state in states[:2]), inputs[:, self._controls], states[2][some]
+            )
 
         return drive
 
-    def _set_friction(
-        self,
-        gear: GearFriction,
-        batch: mujoco.batch.Batch,
-        ids: IntArray,
-        every: int,
-        before: FloatArray | None,
-    ) -> FloatArray:
-        """Set what friction can hold by the newest forces, and return what these alone say."""
-        rows = ids[:, None]
-        holds = batch.expand("dof_frictionloss")
-        motor, damper, smooth, constraint, speed = (batch.bind(name)[rows, gear.dofs] for name in _FORCES)
-        now = gear.bound(
-            numbers=self._fields["numeric_data"][ids[:, None, None], gear.at],
-            dry=self._fields["dof_frictionloss"][rows, gear.dofs],
-            motor=motor,
-            external=smooth - damper - motor + beyond(constraint, holds[rows, gear.dofs]),
-            speed=speed,
-        )
-        holds[rows, gear.dofs] = now if before is None else ahead(now, before, every)
-        return now
+    def _holder(
+        self, gear: GearFriction, batch: mujoco.batch.Batch, some: slice | IntArray, every: int
+    ) -> Callable[[], None]:
+        """What sets how much friction can hold in some simulations, by the newest forces."""
+        numbers = self._fields["numeric_data"][some][:, gear.at]
+        own = self._fields["dof_frictionloss"][some]
+        dry, holds, now = own[:, gear.dofs], batch.expand("dof_frictionloss"), None
+        place = (some, gear.dofs) if isinstance(some, slice) else (some[:, None], gear.dofs)
+        forces = [batch.bind(name) for name in _FORCES]
+        holds[some] = own
+
+        def hold() -> None:
+            nonlocal now
+            motor, damper, smooth, constraint, speed = (force[place] for force in forces)
+            external = smooth - damper - motor + beyond(constraint, holds[place])
+            before, now = now, gear.bound(numbers, dry, motor, external, speed)
+            holds[place] = now if before is None else ahead(now, before, every)
+
+        return hold
 
 
 def _groups(lengths: IntArray) -> list[tuple[IntArray, int]]:

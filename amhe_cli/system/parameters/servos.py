@@ -108,14 +108,16 @@ class Servos:
             for signal in SIGNALS
         )
 
+        by_position, dead = by_position * ratio, gain * band
+        filtered = np.flatnonzero(state >= 0)
+
         def bias(qpos: FloatArray, qvel: FloatArray, ctrl: FloatArray, act: FloatArray) -> FloatArray:
             speed = ratio * qvel[:, dofs]
-            command = np.clip(ctrl[:, controls], least, most)
-            for i in np.flatnonzero(state >= 0):
-                command[:, i] = act[:, state[i]]
-            alone = gain * command + by_position * ratio * qpos[:, position] + by_speed * speed
+            command = np.minimum(np.maximum(ctrl[:, controls], least), most)
+            command[:, filtered] = act[:, state[filtered]]
+            alone = gain * command + by_position * qpos[:, position] + by_speed * speed
             size = np.abs(alone)
-            duty = np.sign(alone) * np.where(size > gain * band, np.clip(size / limit, punch, 1.0), 0.0)
+            duty = np.copysign(np.minimum(np.maximum(size / limit, punch), 1.0) * (size > dead), alone)
             driven = limit * duty
             for i, at in volts:
                 driven[:, i] *= ctrl[:, at] / supply[:, i]
