@@ -12,8 +12,6 @@ import yaml
 from amhe_cli.core.errors import ConfigError, one_of
 
 _FILE = Path(__file__).with_name("drives.yaml")
-#: Unit of a gain that the drive's firmware takes as it is.
-DIRECT = "N m/rad"
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +19,8 @@ class ServoNumbers:
     """What a drive is at one supply and gain; None: no public source says.
 
     Args:
-        volts: Supply [V].
+        volts: Supply [V], and
+        gain_p: position gain, in the drive's own unit.
         kp: Stiffness [N m/rad].
         kv: Torque by speed of the back-EMF [N m s/rad].
         limit: Largest torque of the motor [N m].
@@ -31,6 +30,7 @@ class ServoNumbers:
     """
 
     volts: float | None
+    gain_p: float | None
     kp: float | None
     kv: float | None
     limit: float | None
@@ -84,7 +84,7 @@ class LibraryDrive:
         if per_volt is not None and self.volts and self.no_load_speed:
             kv = per_volt * self.volts / self.no_load_speed
         return ServoNumbers(
-            supply, kp, kv, limit, self.torque_sd, self.armature, self.armature_sd or self.torque_sd
+            supply, gain_p, kp, kv, limit, self.torque_sd, self.armature, self.armature_sd or self.torque_sd
         )
 
 

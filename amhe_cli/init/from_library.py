@@ -45,6 +45,8 @@ _LOAD_FRICTION = (0.2, 0.1)
 _DRY, _REST = 0.015, 0.01
 #: Prior sd of the logarithm: of the duty that a gain gives, of a gain that nobody says, of the back-EMF.
 _GAIN_SD, _UNKNOWN_GAIN, _BACK_EMF_SD = 0.1, 1.5, 0.15
+#: That of a register that is known.
+_EXACT = 0.001
 #: Prior sd of the logarithm of a mass: who names the drives wants to weigh with them.
 _LOAD_SD = 0.7
 #: What models of such servos miss of a position [rad]: gears have a degree of play, and uneven teeth.
@@ -161,6 +163,10 @@ def _of_servo(
     kp, sd = (servo.kp, _GAIN_SD) if servo.kp else (float(model.actuator(actuator).gainprm[0]), _UNKNOWN_GAIN)
     why = f"stiffness {at}" + ("" if servo.kp else "; the model's, since no gain is known: give `gain_p`")
     yield Guess(f"{joint}_gain", entry_of(kp, False, [{**here, "set": "gain"}], sd), why)
+    if servo.gain_p is not None:  # nearly exact, and not fixed, so that a data set can know it of each log
+        entry = entry_of(1.0, False, [{**here, "set": "gain", "mode": "scale"}], _EXACT) | {"unit": "-"}
+        why = f"position gain over {servo.gain_p:g}; a log at half of it: known: {{{joint}_gain_ratio: 0.5}}"
+        yield Guess(f"{joint}_gain_ratio", entry, why)
     entry = entry_of(_DRY * servo.limit, True, [{"joint": joint, "set": "friction_loss"}])
     yield Guess(f"{joint}_friction_loss", entry, f"dry friction without load {at}; a guess")
     linear = {
