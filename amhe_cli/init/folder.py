@@ -20,7 +20,7 @@ from amhe_cli.core.yaml_file import merged
 from amhe_cli.init.actuators import actuator_parameters, floating, ungrouped
 from amhe_cli.init.drives import geared_joints, moved_by
 from amhe_cli.init.efforts import effort_parameters, effort_signal
-from amhe_cli.init.from_library import MISSED, Chosen, library_parameters
+from amhe_cli.init.from_library import Chosen, expect_less, library_parameters
 from amhe_cli.init.gaps import gap_parameters
 from amhe_cli.init.model import add_servos, copy_model, free_root, notes_on_urdf, overlaps
 from amhe_cli.init.parameters import guess_parameters, guessed_masses, sharing
@@ -172,8 +172,7 @@ def proposed(
         notes += declared
     notes[:0] = _estimate_noise(made, logs[0], topics, msg_path)
     if drives is not None:
-        for noise in (guess.noise for guess in guesses if guess.noise.get("position")):
-            noise["position"] = max(float(noise["position"] or 0.0), MISSED)
+        expect_less(guesses, drives)
     return made
 
 

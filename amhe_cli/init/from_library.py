@@ -50,7 +50,7 @@ _EXACT = 0.001
 #: Prior sd of the logarithm of a mass: who names the drives wants to weigh with them.
 _LOAD_SD = 0.7
 #: What models of such servos miss of a position [rad]: gears have a degree of play, and uneven teeth.
-MISSED = 0.006
+_MISSED = 0.006
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,29 +99,24 @@ def library_parameters(
     gain, notes = (chosen.gain_p, []) if chosen.gain_p is not None else _logged_gain(logs, topics, msg_path)
     actuators = {joint: name for name in names_of(model, "actuator") if (joint := joint_of(model, name))}
     made, more = list[Guess](), list[Guess]()
-    for pattern, name in chosen.drives.items():
-        joints = [joint for joint in actuators if fnmatchcase(joint, pattern)]
-        if not joints:
-            raise ConfigError(f"`drive`: {one_of('driven joint', pattern, list(actuators))}")
-        one, servo = drive(name, chosen.volts), drive(name, chosen.volts).servo(chosen.volts, gain)
-        for joint in joints:
-            actuator, at = actuators[joint], f"of joint {joint}, {one.title}"
-            if servo.armature is not None:
-                entry = entry_of(
-                    servo.armature, False, [{"joint": joint, "set": "armature"}], servo.armature_sd
-                )
-                made.append(Guess(f"{joint}_armature", entry, f"rotor {at}: {one.source}"))
-            if commanded(model, model.actuator(actuator).id) == "position" and servo.limit is not None:
-                told = _told(topics, actuator, len(actuators) == 1)
-                more += told
-                notes.append(_write(spec, model, actuator, one, servo))
-                made += _of_servo(
-                    model, joint, actuator, one, servo, {next(iter(t.entry["columns"])) for t in told}
-                )
-            elif servo.limit is not None:
-                notes.append(f"the motor {actuator} gives at most about {servo.limit:.3g} N m as {one.name}")
-    driven = {joint for pattern in chosen.drives for joint in actuators if fnmatchcase(joint, pattern)}
-    made += [g for g in zeros(model, sorted(driven), signals) if g.name not in {p.name for p in parameters}]
+    for joint, one in _drives_of(chosen, list(actuators)).items():
+        actuator, servo = actuators[joint], one.servo(chosen.volts, gain)
+        if servo.armature is not None:
+            target = {"joint": joint, "set": "armature"}
+            entry = entry_of(servo.armature, False, [target], servo.armature_sd)
+            made.append(
+                Guess(f"{joint}_armature", entry, f"rotor of joint {joint}, {one.title}: {one.source}")
+            )
+        if commanded(model, model.actuator(actuator).id) == "position" and servo.limit is not None:
+            told = _told(topics, actuator, len(actuators) == 1)
+            quantities = {quantity for guess in told for quantity in guess.entry["columns"]}
+            notes.append(_write(spec, model, actuator, one, servo))
+            made += _of_servo(model, joint, actuator, one, servo, quantities)
+            more += told
+        elif servo.limit is not None:
+            notes.append(f"the motor {actuator} gives at most about {servo.limit:.3g} N m as {one.name}")
+    driven = list(_drives_of(chosen, list(actuators)))
+    made += [g for g in zeros(model, driven, signals) if g.name not in {p.name for p in parameters}]
     known = {_number(target) for guess in made for target in guess.entry["targets"]}
     left = [kept for guess in parameters if (kept := _without(guess, known)) is not None]
     for guess in left:
@@ -129,6 +124,31 @@ def library_parameters(
             guess.entry["prior_sd"] = _LOAD_SD
             guess.why += "; prior wide, as of a load to be weighed"
     return [*left, *made], more, notes
+
+
+def _drives_of(chosen: Chosen, joints: Sequence[str]) -> dict[str, LibraryDrive]:
+    """The drive of each joint that the user means.
+
+    Raises:
+        ConfigError: There is no such drive, or no such joint.
+    """
+    found = dict[str, LibraryDrive]()
+    for pattern, name in chosen.drives.items():
+        meant = [joint for joint in joints if fnmatchcase(joint, pattern)]
+        if not meant:
+            raise ConfigError(f"`drive`: {one_of('driven joint', pattern, joints)}")
+        found |= dict.fromkeys(meant, drive(name, chosen.volts))
+    return found
+
+
+def expect_less(signals: Sequence[Guess], chosen: Chosen) -> None:
+    """Where a hobby servo is among the drives: declare what models miss of positions, compare no speeds."""
+    if all(drive(name, chosen.volts).gains != "counts" for name in chosen.drives.values()):
+        return
+    for guess in signals:
+        if guess.noise.get("position") and "joints" in guess.entry:
+            guess.noise["position"] = max(float(guess.noise["position"] or 0.0), _MISSED)
+            guess.entry["compare"] = ["position"]  # such drives hold and round their speeds
 
 
 def _write(
