@@ -1,19 +1,21 @@
 """A hobby servo swings weighed loads: how heavy are they, by what `amhe init --drive` writes?
 
     python benchmarks/weigh.py [--seeds 10] [--jobs 2]
+    python benchmarks/weigh.py --real [--jobs 2]
 
 The plant is a Feetech STS3215 at 12 V that is *not* the model which `init` writes: friction of the model M6
 of arXiv 2410.08650, larger at rest and uneven over a turn, a least PWM, a lag of the firmware, a supply that
 sags, an encoder of 4096 counts with a zero of its own. It is integrated here, by nothing of the package.
 Each log of 6 s is weighed twice, as a user would do with the commands:
 
-    alone        `amhe init bench.xml LOG --drive hinge=feetech:sts3215 --volts 12 --gain-p 16`, then
+    alone        `amhe init bench.xml LOG --drive hinge=feetech:sts3215 --volts 12 --gain-p GAIN`, then
                  `amhe identify LOG`
-    calibrated   four logs of two weighed loads give a belief about the servo; with it the others are weighed
+    calibrated   four logs of two weighed loads, at the lowest and the highest gain, give a belief about the
+                 servo; with it the others are weighed, at any gain
 
 At least 60 % of the masses must be identified or conditional, 90 % of these must hold, and their median error
 must be 5 %. Beside them stand plain least squares of the torques that the servo's data sheet promises, and
-`mujoco.sysid` with the same parameters (where it is installed).
+`mujoco.sysid` (where it is installed) of the same log, with mass, damping, friction and armature free.
 """
 
 from __future__ import annotations
@@ -24,12 +26,16 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
-from common import over_seeds, seeds_of, show
+import yaml
+from against_sysid import Case, with_sysid
+from common import DATA, PROJECT, over_seeds, seeds_of, show
+from mujoco import sysid
 
 import amhe_cli as amhe
 from amhe_cli.core.arrays import FloatArray
@@ -40,7 +46,7 @@ from amhe_cli.init.from_library import Chosen
 LENGTH, ROD, GRAVITY = 0.12, 0.04, 9.81
 #: Weighed loads [kg]; the model says 1 kg. The first two of them calibrate.
 LOADS = (0.66, 1.27, 0.58, 0.79, 0.92, 1.06, 1.18, 1.40)
-VOLTS, GAIN = 12.0, 16
+VOLTS, GAINS, RATIO = 12.0, (8, 16, 32), "hinge_gain_ratio"
 #: Time step of the plant [s], and of the log.
 STEP, PERIOD = 5e-4, 0.0067
 MODEL = f"""<mujoco model="bench"><option timestep="0.005" integrator="implicitfast"/>
@@ -58,6 +64,8 @@ MOTIONS: dict[str, Callable[[float], float]] = {
     "lift_and_drop": lambda t: -np.pi / 4.0 * (1.0 - np.cos(np.pi * min(t, 2.0) / 2.0)),
 }
 OFF = 2.0
+#: Gain and motion of the logs of the XL330 that calibrate: the lowest and the highest gain.
+CALIBRATE = ((100, "sin_sin"), (800, "up_and_down"))
 
 
 def servo_of(rng: np.random.Generator) -> dict[str, float]:
@@ -65,7 +73,7 @@ def servo_of(rng: np.random.Generator) -> dict[str, float]:
     full = 12.0 * 0.454 * 0.97 * np.exp(rng.normal(0.0, 0.2))  # torque at full duty and 12 V
     return {
         "full": full,
-        "counts": 16 * 0.166 / 0.97 * np.exp(rng.normal(0.0, 0.05)),  # share of full duty by radian
+        "counts": 0.166 / 0.97 * np.exp(rng.normal(0.0, 0.05)),  # share of full duty by radian and count
         "back_emf": full / 4.71 * np.exp(rng.normal(0.0, 0.1)),
         "armature": 0.024 * np.exp(rng.normal(0.0, 0.3)),
         "viscous": 0.05 * np.exp(rng.normal(0.0, 0.3)),
@@ -87,7 +95,7 @@ def servo_of(rng: np.random.Generator) -> dict[str, float]:
 
 
 def swing(
-    servo: dict[str, float], load: float, motion: str, rng: np.random.Generator
+    servo: dict[str, float], load: float, motion: str, gain: int, rng: np.random.Generator
 ) -> dict[str, FloatArray]:
     """What a bench records of 6 s: times, angles, targets, and whether the torque is on."""
     target, inertia = MOTIONS[motion], servo["armature"] + LENGTH**2 * (load + ROD / 3.0) + 0.4 * load * 9e-4
@@ -101,7 +109,7 @@ def swing(
         read = count * round((angle + servo["zero"]) / count)
         seen += STEP / servo["lag"] * (target(max(0.0, t - servo["late"])) - seen)
         error = seen - read
-        duty = float(np.clip(servo["counts"] * error, -1.0, 1.0))
+        duty = float(np.clip(gain * servo["counts"] * error, -1.0, 1.0))
         if abs(error) < servo["band"]:
             duty = 0.0
         elif abs(duty) < servo["punch"]:
@@ -134,17 +142,81 @@ def written(folder: Path, name: str, columns: dict[str, FloatArray]) -> Path:
     return path
 
 
-def prepared(folder: Path, log: Path, gain: float = GAIN) -> amhe.System:
-    """The system that `amhe init --drive` writes for a log."""
-    chosen = Chosen({"hinge": "feetech:sts3215"}, VOLTS, gain)
-    init_system(folder / "bench.xml", [log], folder / f"system_{log.stem}", force=True, drives=chosen)
-    return amhe.System.load(folder / f"system_{log.stem}", warn=False)
+@dataclass(frozen=True)
+class Bench:
+    """What a user tells `amhe init`: model, joint, drive of the library, and supply [V]."""
+
+    model: Path
+    joint: str
+    drive: str
+    volts: float
+
+    def system(self, log: Path, gain: float) -> amhe.System:
+        """The system that `amhe init --drive` writes for a log."""
+        folder = self.model.parent / f"system_{log.stem}"
+        chosen = Chosen({self.joint: self.drive}, self.volts, gain)
+        init_system(self.model, [log], folder, force=True, drives=chosen)
+        return amhe.System.load(folder, warn=False)
+
+    def least_squares(self, system: amhe.System, log: Path, gain: float) -> float:
+        """The load by plain least squares of the data sheet's torque: weight, inertia, constant friction."""
+        read = amhe.read_log(log, system)
+        angle, target = (read[f"{name}.position"].values[:, 0] for name in ("joints", "command"))
+        window = np.arange(-15, 16) * read.dt
+        _, by_speed, by_change, _ = np.linalg.pinv(np.vander(window, 4, increasing=True))  # a cubic's
+        speed, change = (np.convolve(angle, one[::-1], mode="same") for one in (by_speed, 2.0 * by_change))
+        servo = library_drive(self.drive, self.volts).servo(self.volts, gain)
+        torque = np.clip(servo.kp * (target - angle), -servo.limit, servo.limit) - servo.kv * speed
+        moving = np.abs(speed) > 0.1
+        moving[:15] = moving[-15:] = False
+        columns = np.column_stack([self._weight_of_a_kilogram(system, angle), change, np.sign(speed), speed])
+        return float(np.linalg.lstsq(columns[moving], torque[moving], rcond=None)[0][0])
+
+    def _weight_of_a_kilogram(self, system: amhe.System, angle: FloatArray) -> FloatArray:
+        """Gravity's torque by each kilogram of the load; other links are left out."""
+        model, data, forces = system.model, mujoco.MjData(system.model), np.empty(angle.size)
+        for i, value in enumerate(angle):
+            data.qpos[0] = value
+            mujoco.mj_fwdPosition(model, data)
+            mujoco.mj_rne(model, data, 0, data.qfrc_bias)
+            forces[i] = data.qfrc_bias[0]
+        return forces / model.body("load").mass[0]
+
+    def by_sysid(self, system: amhe.System, log: Path) -> dict[str, float]:
+        """The load by `mujoco.sysid`: the servo as MuJoCo has it, constant friction; {}: there is none."""
+        if not hasattr(sysid, "TimeSeries"):
+            return {}  # it is not installed
+        own = {name: {"targets": [{"joint": self.joint, "set": name}]} for name in ("damping", "armature")}
+        own["friction_loss"] = {
+            "nominal": 0.05,
+            "prior_sd": 1.0,
+            "targets": [{"joint": self.joint, "set": "friction_loss"}],
+        }
+        own["damping"] |= {"nominal": 0.05, "prior_sd": 1.0}
+        own["armature"] |= {"nominal": 0.01, "prior_sd": 1.0}
+        own["load_mass"] = {"prior_sd": 0.7, "targets": [{"body": "load", "set": "mass"}]}
+        description = yaml.safe_load(system.text)
+        description["signals"]["joints"]["noise"]["velocity"] = 5.0  # of next to no weight
+        spec = mujoco.MjSpec.from_file(str(system.folder / description["model"]))
+        servo = spec.actuators[0]
+        kv = float(spec.numerics[0].data[3])  # the back-EMF, which `init` keeps beside the firmware
+        servo.biasprm = [0.0, servo.biasprm[1], -kv, *[0.0] * 7]
+        for numeric in list(spec.numerics):
+            spec.delete(numeric)
+        plain = amhe.System.from_model(
+            spec, parameters=own, signals=description["signals"], name="plain", warn=False
+        )
+        read = amhe.read_log(log, plain)
+        path = with_sysid(Case(plain, [read], [read]), whitened=True, step=None)
+        return {"sysid": plain.space.named(plain.space.theta_of(path.z[-1]))["load_mass"]}
 
 
-def weighed(system: amhe.System, log: Path, belief: amhe.Belief | None = None) -> dict[str, Any]:
+def weighed(
+    system: amhe.System, log: Path, known: dict[str, float], belief: amhe.Belief | None = None
+) -> dict[str, Any]:
     """What `amhe identify` says of the load of a log."""
     began = time.process_time()
-    result = amhe.identify(system, amhe.read_log(log, system), prior=belief, threads=1)
+    result = amhe.identify(system, replace(amhe.read_log(log, system), known=known), prior=belief, threads=1)
     mass = result.parameters["load_mass"]
     return {
         "log": log.stem,
@@ -157,55 +229,77 @@ def weighed(system: amhe.System, log: Path, belief: amhe.Belief | None = None) -
     }
 
 
-def calibrated(system: amhe.System, logs: list[tuple[Path, float]]) -> amhe.Belief:
+def calibrated(system: amhe.System, logs: list[tuple[Path, dict[str, float]]]) -> amhe.Belief:
     """What is believed of the servo by logs of known loads."""
-    read = [replace(amhe.read_log(path, system), known={"load_mass": load}) for path, load in logs]
+    read = [replace(amhe.read_log(path, system), known=known) for path, known in logs]
     return amhe.identify(system, read, threads=1).belief
 
 
-def least_squares(log: Path) -> float:
-    """The load by plain least squares of the data sheet's torque: weight, inertia and constant friction."""
-    time_, angle, target = np.loadtxt(log, delimiter=",", skiprows=1, unpack=True)[:3]
-    window = np.arange(-15, 16) * float(np.median(np.diff(time_)))
-    _, by_speed, by_change, _ = np.linalg.pinv(np.vander(window, 4, increasing=True))  # a cubic's
-    speed, change = (np.convolve(angle, one[::-1], mode="same") for one in (by_speed, 2.0 * by_change))
-    drive = library_drive("feetech:sts3215", VOLTS).servo(VOLTS, GAIN)
-    torque = np.clip(drive.kp * (target - angle), -drive.limit, drive.limit) - drive.kv * speed
-    columns = np.column_stack([np.sin(angle), change, np.sign(speed), speed])
-    moving = np.abs(speed) > 0.1
-    moving[:15] = moving[-15:] = False
-    weight = np.linalg.lstsq(columns[moving], torque[moving], rcond=None)[0][0]
-    return float(weight / GRAVITY / LENGTH - ROD / 2.0)
-
-
 def trial(seed: int) -> dict[str, Any]:
-    """One servo: each log of eight loads alone, and calibrated by two of them."""
+    """One servo: moving logs of six loads by the belief of four others, and one log of each load alone."""
     logging.disable(logging.WARNING)
     rng = np.random.default_rng([seed, 3215])
     servo, found = servo_of(rng), []
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        (folder / "bench.xml").write_text(MODEL)
-        logs = {
-            (load, motion): written(folder, f"{motion}_{1000 * load:.0f}", swing(servo, load, motion, rng))
-            for load in LOADS
-            for motion in MOTIONS
-        }
-        moving = [key for key in logs if key[1] != "lift_and_drop"]
-        system = prepared(folder, logs[moving[0]])
-        belief = calibrated(system, [(logs[key], key[0]) for key in moving if key[0] in LOADS[:2]][:4])
-        for load, motion in sorted(logs):
-            path, about = logs[load, motion], {"truth": load, "motion": motion}
-            if load in LOADS[2:]:
-                if motion != "lift_and_drop":
-                    found.append(about | {"how": "calibrated"} | weighed(system, path, belief))
-                alone = weighed(prepared(folder, path), path)
-                found.append(about | {"how": "alone", "least_squares": least_squares(path)} | alone)
-    return {
-        "servo": servo,
-        "belief": dict(zip(belief.names, belief.estimate.tolist(), strict=True)),
-        "found": found,
-    }
+        bench = Bench(Path(name) / "bench.xml", "hinge", "feetech:sts3215", VOLTS)
+        bench.model.write_text(MODEL)
+
+        def log(load: float, motion: str, gain: int) -> Path:
+            label = f"{motion}_{1000 * load:.0f}_{gain}"
+            return written(bench.model.parent, label, swing(servo, load, motion, gain, rng))
+
+        moving = [motion for motion in MOTIONS if motion != "lift_and_drop"]
+        two = [
+            (load, motion, gain)
+            for load, gain in zip(LOADS[:2], GAINS[::2], strict=True)
+            for motion in moving[:2]
+        ]
+        paths = {key: log(*key) for key in two}
+        system = bench.system(paths[two[0]], GAINS[0])
+        belief = calibrated(
+            system, [(paths[key], {"load_mass": key[0], RATIO: key[2] / GAINS[0]}) for key in two]
+        )
+        for i, load in enumerate(LOADS[2:]):
+            for j, motion in enumerate(moving):
+                gain = GAINS[(i + j + seed) % len(GAINS)]
+                about = {"how": "calibrated", "truth": load, "motion": motion, "gain": gain}
+                found.append(
+                    about | weighed(system, log(load, motion, gain), {RATIO: gain / GAINS[0]}, belief)
+                )
+            motion, gain = list(MOTIONS)[(i + seed) % len(MOTIONS)], GAINS[i % len(GAINS)]
+            path, about = (
+                log(load, motion, gain),
+                {"how": "alone", "truth": load, "motion": motion, "gain": gain},
+            )
+            alone = bench.system(path, gain)
+            about |= {"least_squares": bench.least_squares(alone, path, gain)} | bench.by_sysid(alone, path)
+            found.append(about | weighed(alone, path, {}))
+    estimates = dict(zip(belief.names, belief.estimate.tolist(), strict=True))
+    return {"servo": servo, "belief": estimates, "found": found}
+
+
+def real(number: int) -> dict[str, Any]:
+    """One log of the XL330 (docs/real.md), alone and with the belief of two others."""
+    logging.disable(logging.WARNING)
+    path = sorted((DATA / "xl330").glob("*.mcap"))[number]
+    gain, about = float(path.stem.split("_")[0][2:]), {"truth": 0.49, "motion": path.stem.partition("_")[2]}
+    with tempfile.TemporaryDirectory() as name:
+        bench = Bench(Path(name) / "bench.xml", "pendulum", "dynamixel:xl330-m288", 7.4)
+        text = (PROJECT / "examples" / "systems" / "xl330" / "model.xml").read_text()
+        bench.model.write_text(text.replace('mass="0.49"', 'mass="0.4"'))
+        alone = bench.system(path, gain)
+        about |= {"how": "alone", "least_squares": bench.least_squares(alone, path, gain)}
+        found = [about | bench.by_sysid(alone, path) | weighed(alone, path, {})]
+        known = {f"kp{kp}_{motion}": kp for kp, motion in CALIBRATE}
+        if path.stem not in known:
+            first = bench.system(path.parent / f"{next(iter(known))}.mcap", next(iter(known.values())))
+            ratio = {
+                stem: {"pendulum_gain_ratio": kp / next(iter(known.values()))} for stem, kp in known.items()
+            }
+            logs = [(path.parent / f"{stem}.mcap", {"load_mass": 0.49, **ratio[stem]}) for stem in known]
+            own = {"pendulum_gain_ratio": gain / next(iter(known.values()))}
+            found.append(about | {"how": "calibrated"} | weighed(first, path, own, calibrated(first, logs)))
+    return {"found": found}
 
 
 def row(label: str, found: list[dict[str, Any]]) -> tuple[str, ...]:
@@ -213,7 +307,10 @@ def row(label: str, found: list[dict[str, Any]]) -> tuple[str, ...]:
     claimed = [one for one in found if one["verdict"] in ("identified", "conditional")]
     held = [one["lower"] <= one["truth"] <= one["upper"] for one in found]
     errors = [100.0 * (one["estimate"] / one["truth"] - 1.0) for one in found]
-    plain = [100.0 * (one["least_squares"] / one["truth"] - 1.0) for one in found if "least_squares" in one]
+    plain, sysid = (
+        [abs(100.0 * (one[way] / one["truth"] - 1.0)) for one in found if way in one]
+        for way in ("least_squares", "sysid")
+    )
     wide = [one["upper"] / one["lower"] for one in found]
     seconds = sorted(one["seconds"] for one in found)
     return (
@@ -224,7 +321,7 @@ def row(label: str, found: list[dict[str, Any]]) -> tuple[str, ...]:
         f"{np.median(np.abs(errors)):.1f} %",
         f"{np.median(errors):+.1f} %",
         f"{np.median(wide):.2f}",
-        f"{np.median(np.abs(plain)):.0f} %" if plain else "",
+        *(f"{np.median(some):.0f} %" if some else "" for some in (plain, sysid)),
         ", ".join(f"{n} {verdict}" for verdict, n in Counter(one["verdict"] for one in found).most_common(3)),
         f"{seconds[len(seconds) // 2]:.1f} s",
     )
@@ -234,8 +331,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=seeds_of, default=range(10), metavar="N or A:B")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
+    parser.add_argument("--real", action="store_true", help="the logs of the XL330, in place of a simulation")
     given = parser.parse_args()
-    done = over_seeds("weigh", trial, given.seeds, given.jobs)
+    if given.real:
+        done = over_seeds("weigh-xl330", real, range(16), given.jobs)
+    else:
+        done = over_seeds("weigh", trial, given.seeds, given.jobs)
     found = [one for trial_ in done for one in trial_["found"]]
     ways = {how: [one for one in found if one["how"] == how] for how in ("alone", "calibrated")}
     rows = [row(how, some) for how, some in ways.items()]
@@ -243,8 +344,8 @@ def main() -> None:
         motions = {one["motion"] for one in some}
         rows += [row(f"{how}, {m}", [one for one in some if one["motion"] == m]) for m in sorted(motions)]
     columns = ("weighed", "claimed", "of these hold", "hold", "median error", "bias", "upper/lower")
-    title = f"{len(done)} servos of one type, weighed loads"
-    show(title, (*columns, "least squares errs", "verdicts", "CPU"), rows)
+    title = "an XL330 under 0.49 kg" if given.real else f"{len(done)} servos of one type, weighed loads"
+    show(title, (*columns, "least squares errs", "sysid errs", "verdicts", "CPU"), rows)
 
 
 if __name__ == "__main__":
