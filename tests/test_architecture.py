@@ -42,9 +42,7 @@ ALLOWED: dict[str, set[str]] = {
 INNER: dict[str, tuple[str, ...]] = {"system": ("model", "parameters", "description", "", "export")}
 
 #: Functions that are still longer than 60 lines: these are to be cut, and none added.
-STILL_LONG = {
-    ("view/server.py", "__init__"),
-}
+STILL_LONG: set[tuple[str, str]] = set()
 
 #: Outside library -> the rooms, or single files, that may import it.
 WALLS = {
@@ -58,7 +56,7 @@ WALLS = {
     "h5py": ("logs",),
     "jinja2": ("web",),
     "lz4": ("logs",),
-    "markupsafe": ("web", "report"),
+    "markupsafe": ("web", "report", "view"),
     "matplotlib": ("report",),
     "mcap": ("logs",),
     "motioncapture": ("robots/go1",),

@@ -35,6 +35,8 @@ from amhe_cli.system.system import System
 if TYPE_CHECKING:
     import mujoco  # noqa: TID251 -- for a type
 
+    from amhe_cli.report.identification_page import Beside
+
 logger = logging.getLogger(__name__)
 
 #: Width of a table in characters.
@@ -99,7 +101,7 @@ class Result:
         return record | {"seed": self.seed, "inputs": inputs}
 
     def save(self, folder: str | Path, *, force: bool = False) -> Path:
-        """Write belief.yaml, identified.xml (its meshes in assets/), result.json and report.html.
+        """Write belief.yaml, identified.xml (its meshes in assets/), result.json, report.html and view.html.
 
         Args:
             folder: Folder of the files; made if it does not exist.
@@ -131,7 +133,7 @@ class Result:
         held_out: Sequence[Path | Log],
         force: bool,
     ) -> None:
-        """Write the four files with a given content of result.json.
+        """Write the files with a given content of result.json.
 
         Args:
             folder: Folder of the files.
@@ -143,7 +145,31 @@ class Result:
         from amhe_cli.report.identification import write_identification
 
         origin = provenance(command, self.seed, self.found.method, self.system, logs, held_out)
-        write_identification(folder, self.system, self.found, self.belief, record, origin, force)
+        seen = self._seen(folder.name)
+        write_identification(folder, self.system, self.found, self.belief, record, origin, force, seen)
+
+    def _seen(self, name: str) -> Beside:
+        """What a view of the result adds to its report; nothing where it has no ghosts."""
+        from amhe_cli.report.identification_page import Beside
+        from amhe_cli.view.open import clip_name, view_of
+
+        if self.system.match == "effort":  # efforts along the motion have no motion of their own
+            return Beside()
+        verdicts = {name: p.verdict for name, p in self.parameters.items()}
+        try:
+            view = view_of(
+                self.system, self.logs, held_out=self.held_out, belief=self.belief, fitted=True,
+                title=f"{self.system.name}: {name}", verdicts=verdicts,
+            )  # fmt: skip
+        except LogError as error:
+            logger.debug("no view: %s", error)
+            return Beside()
+        if (row := view.worst([fit.clip for fit in self.fits])) is None:
+            return Beside(page=view.page(report="report.html"))
+        take = view.found.takes[row]
+        link = f"view.html#clip={row + 1}&t={take.ends[0] + 0.7 * (take.ends[1] - take.ends[0]):.2f}"
+        page = view.page(report="report.html#measured-against-predicted")
+        return Beside(view.strip(row), view.whole_log(), link, clip_name(take.window), page)
 
     def __repr__(self) -> str:
         verdicts = ", ".join(f"{p.name} {p.estimate:.4g} ({p.verdict})" for p in self.parameters.values())

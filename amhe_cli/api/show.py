@@ -11,7 +11,7 @@ from amhe_cli.core.log import Log
 from amhe_cli.core.shown import SavedView
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.system.system import System
-from amhe_cli.view.open import page_of
+from amhe_cli.view.open import view_of
 
 
 def show(
@@ -39,4 +39,4 @@ def show(
     _, threads = checked(0, threads)
     system, known = system.starting_from(belief, belief_anyway=belief_anyway)
     given = (logs,) if isinstance(logs, Log) else tuple(logs)
-    return SavedView(page_of(system, given, belief=known, threads=threads))
+    return SavedView(view_of(system, given, belief=known, threads=threads).page())

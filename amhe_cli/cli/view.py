@@ -33,7 +33,7 @@ def view(session: Session, given: Given) -> None:
     from amhe_cli.cli.viewed import viewed
     from amhe_cli.cli.watching import announce
     from amhe_cli.core.files import write_whole
-    from amhe_cli.view.open import page_of
+    from amhe_cli.view.open import view_of
     from amhe_cli.view.server import PageServer
 
     given.refuse_existing(given.save)
@@ -44,7 +44,7 @@ def view(session: Session, given: Given) -> None:
         .starting_from(given.belief or found.belief, belief_anyway=given.belief_anyway)
     )
     logs, held_out = found.read(opened)
-    page = page_of(
+    shown = view_of(
         opened,
         logs,
         held_out=held_out,
@@ -54,11 +54,16 @@ def view(session: Session, given: Given) -> None:
         **found.beside(opened, (logs or held_out)[0], known),
     )
     if given.save is not None:
+        page = shown.page()
         write_whole(given.save, page)
         if not session.gave(session.record(page=str(given.save), bytes=len(page.encode()))):
             session.console().print(f"page: {given.save}", soft_wrap=True)
         return
-    with stopping(session) as stopped, PageServer(page, given.host, given.port) as server:
+    page = shown.page(asks=True)
+    with (
+        stopping(session) as stopped,
+        PageServer(page, given.host, given.port, answer=shown.answer) as server,
+    ):
         announce(session, server)
         while not stopped():
             time.sleep(0.1)

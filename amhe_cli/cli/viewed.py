@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -18,7 +17,6 @@ from amhe_cli.system.description.folders import bundled_systems, find_system
 
 if TYPE_CHECKING:
     from amhe_cli.core.belief import Belief
-    from amhe_cli.core.curves import TimeCurve
     from amhe_cli.core.log import Log
     from amhe_cli.system.system import System
 
@@ -119,18 +117,19 @@ class Viewed:
         return logs
 
     def beside(self, system: System, first: Log, known: Belief | None) -> dict[str, Any]:
-        """What is shown beside the logs, as arguments of `page_of`.
+        """What is shown beside the logs, as arguments of `view_of`.
 
         Args:
             system: The system.
             first: The first of the logs.
-            known: The belief that is shown; None: that at the end of what was recorded.
+            known: The belief that is shown; None: that at each time of what was recorded.
 
         Raises:
             LogError: What was recorded cannot be read.
         """
         if self.record.command not in _RECORDED:
-            return {"fitted": self.belief is not None, "belief": known}
+            verdicts = {p["name"]: p["verdict"] for p in self.record.parameters if "verdict" in p}
+            return {"fitted": self.belief is not None, "belief": known, "verdicts": verdicts}
         from amhe_cli.cli.watching import floor_of
         from amhe_cli.live.recorded import first_belief, recorded_curves
         from amhe_cli.robots.go1.run import as_measured
@@ -144,8 +143,7 @@ class Viewed:
             "curves": curves,
             "events": jumps,
             "first": begun if begun.keys() >= set(system.space.names) else None,
-            "belief": _last(system, curves) if known is None else known,
-            "known_as": "after",
+            "belief": known,
         }
         if self.record.task is not None:
             shown["more"] = floor_of(as_measured(find_task(self.record.task), system))
@@ -223,25 +221,3 @@ def system_of_result(belief: Path) -> System | None:
         return None
     logger.log(NOTE, "the belief is of system %s, says the result beside it", found.inputs.system)
     return found.inputs.open(())
-
-
-def _last(system: System, curves: Sequence[TimeCurve]) -> Belief | None:
-    """The belief at the end of curves; None where they lack a parameter."""
-    import numpy as np
-
-    from amhe_cli.core.belief import belief_of
-    from amhe_cli.core.statistics import Z90
-
-    ends = {
-        curve.name: np.append(
-            curve.values[-1:], curve.values[[-1, -1]] if curve.band is None else curve.band[:, -1]
-        )
-        for curve in curves
-        if curve.group == "parameters"
-    }
-    if not ends.keys() >= set(system.space.names):
-        return None
-    value, low, high = (
-        system.space.z_of(end) for end in np.array([ends[name] for name in system.space.names]).T
-    )
-    return belief_of(system, value, np.diag(((high - low) / (2.0 * Z90)) ** 2))

@@ -21,7 +21,15 @@ from amhe_cli.estimation.core.result import HeldOut, Identification, OwnSpread, 
 from amhe_cli.report import numbers
 from amhe_cli.report.folder import results
 from amhe_cli.report.held_out import error_rows
-from amhe_cli.report.identification_page import MAX_COMBINATIONS, identification_page
+from amhe_cli.report.identification_page import (
+    ALONE,
+    MAX_COMBINATIONS,
+    THUMB,
+    Beside,
+    identification_page,
+    misfit_text,
+    next_steps,
+)
 from amhe_cli.report.missing import missing_record, print_missing, print_repairs, repairs_record
 from amhe_cli.report.parameters import body_table
 from amhe_cli.report.tables import NUMBER, Table, rich_table
@@ -103,8 +111,9 @@ def write_identification(
     record: Mapping[str, Any],
     provenance: dict[str, object],
     force: bool = True,
+    seen: Beside = ALONE,
 ) -> None:
-    """Write belief.yaml, identified.xml (its meshes in assets/), result.json and report.html, all or none.
+    """Write belief.yaml, identified.xml (its meshes in assets/), result.json and pages, all or none.
 
     Args:
         folder: Folder of the files; made if it does not exist.
@@ -114,13 +123,15 @@ def write_identification(
         record: Content of result.json.
         provenance: Versions, hashes, seed and command; goes into belief.yaml too.
         force: Write into a folder that is not empty.
+        seen: A view of the result, written as view.html beside report.html.
     """
     contents = {
         "belief.yaml": belief_text(replace(belief, provenance=provenance)),
         "identified.xml": identified_xml(system, system.space.with_prior(belief).nominal),
         "result.json": json_text(record),
     }
-    with results(folder, lambda: identification_page(result, record, provenance), force) as scratch:
+    contents |= {"view.html": seen.page} if seen.page else {}
+    with results(folder, lambda: identification_page(result, record, provenance, seen), force) as scratch:
         for name, text in contents.items():
             (scratch / name).write_text(text, encoding="utf-8")
         _write_system(scratch / "system", system, [one for one in result.repairs if one.kept])
@@ -177,6 +188,8 @@ def print_identification(
     if result.determined:
         console.print(result.determined)
     console.print(f"held-out: {held_out_line(result.held_out)}")
+    if misfit := misfit_text(result):
+        console.print(f"{misfit}: {THUMB}")
     if result.missing:
         print_missing(result.missing, console)
     if result.repairs:
@@ -188,16 +201,12 @@ def print_identification(
     if result.interrupted:
         console.print("interrupted: these are the best values so far", style="yellow")
     if folder is not None:
-        belief = folder / "belief.yaml"
-        for what, then in (
-            ("report", folder / "report.html"),
-            ("next", f"amhe view {folder} shows the motion, amhe export {belief} hands the values on"),
-        ):
-            console.print(Text(f"{what}: {then}", overflow="fold"), soft_wrap=True)
+        for line in (f"report: {folder / 'report.html'}", *next_steps(folder)):
+            console.print(Text(line, overflow="fold"), soft_wrap=True)
 
 
 def _print_parameters(result: Identification, console: Console) -> None:
-    """Print the table; a narrow terminal gets fewer columns, never cut names or numbers."""
+    """Print the table; a narrow terminal gets fewer columns, never cut names or numbers, and is told so."""
     for given, left_out in _NARROWER:
         table = rich_table(parameter_table(result, given=given).without(*left_out), STYLES)
         width = console.measure(table, options=console.options.update(width=1000)).maximum
@@ -205,6 +214,8 @@ def _print_parameters(result: Identification, console: Console) -> None:
             break
     console.width = max(width, console.width)
     console.print(table)
+    if left_out:
+        console.print(f"left out here, as the terminal is narrow: {numbers.joined(left_out)}", style="dim")
 
 
 def _first_reasons(result: Identification) -> dict[str, list[str]]:

@@ -38,7 +38,7 @@ LARGEST_RESIDUAL = 5.0
 #: Pairs with a correlation beyond this one have an ellipse.
 CORRELATED = 0.6
 #: What residuals over noise mean.
-THUMB = "About 1 is good; from 2 on, look at what is left; from 5 on, the model is wrong."
+THUMB = "about 1 is good; from 2 on, look at what is left; from 5 on, the model is wrong"
 
 #: Combinations that are named outside their own table.
 MAX_COMBINATIONS = 3
@@ -58,21 +58,25 @@ class Beside:
         strip: Pictures of the robot with its ghosts.
         whole: The log as a whole.
         link: Address of the view, at the clip that is shown.
+        clip: Name of that clip.
+        page: The view itself.
     """
 
     strip: Markup = field(default_factory=Markup)
     whole: Markup = field(default_factory=Markup)
     link: str = ""
+    clip: str = ""
+    page: str = field(default="", repr=False)
 
 
-_ALONE = Beside()
+ALONE = Beside()
 
 
 def identification_page(
     result: Identification,
     record: Mapping[str, Any],
     provenance: Mapping[str, Any],
-    seen: Beside = _ALONE,
+    seen: Beside = ALONE,
 ) -> str:
     """The page as HTML.
 
@@ -95,7 +99,11 @@ def identification_page(
         headline=headline(result),
         statements=[
             *statements(result),
-            *([Statement("good", "See it move, at its worst clip", seen.link)] if seen.link else []),
+            *(
+                [Statement("good", "See it move: the clip that was missed most", seen.link)]
+                if seen.link
+                else []
+            ),
         ],
         sections=list(_sections(result, record, seen)),
     )
@@ -185,7 +193,7 @@ def _residuals(result: Identification) -> Iterator[Statement]:
     if misfit_text(result):
         worst = max(result.noise_scale.values())
         tone: Tone = "good" if worst <= LARGE_RESIDUAL else "bad" if worst > LARGEST_RESIDUAL else "mixed"
-        yield Statement(tone, f"{misfit_text(result).capitalize()}. {THUMB}")
+        yield Statement(tone, f"{misfit_text(result).capitalize()}: {THUMB}.")
 
 
 def _divergence(result: Identification) -> Iterator[Statement]:
@@ -231,7 +239,7 @@ def _sections(result: Identification, record: Mapping[str, Any], seen: Beside) -
     if result.noise_scale:
         yield Section(
             "Residuals against declared noise",
-            text=f"The mark stands at 1: there residuals are as large as the noise in system.yaml. {THUMB}",
+            text=f"The mark stands at 1: there residuals are as large as the noise in system.yaml: {THUMB}.",
             table=_residual_table(result.noise_scale),
             folded=True,
         )
@@ -257,21 +265,24 @@ def _sections(result: Identification, record: Mapping[str, Any], seen: Beside) -
 
 
 def next_steps(folder: str | Path) -> list[str]:
-    """What to run next, to look at a result, to use it and to randomise with it."""
+    """What to do next, to look at a result, to use it and to randomise with it."""
     quoted = shlex.quote(str(folder))
     return [
-        f"amhe view {quoted}  # look: drag the parameters, and the prediction follows",
-        f"{quoted}/identified.xml  # use: the model with these values",
-        f"amhe export {quoted}/belief.yaml  # randomise: samples, mjlab, Isaac Lab",
+        f"look: amhe view {quoted}",
+        f"use: {quoted}/identified.xml",
+        f"randomise: amhe export {quoted}/belief.yaml",
     ]
 
 
-def overlay_section(fits: Sequence[Fit], seen: Beside = _ALONE) -> Section:
+def overlay_section(fits: Sequence[Fit], seen: Beside = ALONE) -> Section:
     """Measured against predicted: the clip that the values before miss most, in large; the others below."""
     clips: dict[str, list[Fit]] = {}
     for fit in fits:
         clips.setdefault(fit.clip, []).append(fit)
-    first = max(clips.values(), key=lambda own: (own[0].held_out, figures.widest_gap(own)))
+    first = max(
+        clips.values(),
+        key=lambda own: (own[0].clip == seen.clip, own[0].held_out, figures.widest_gap(own)),
+    )
     others = [own for own in clips.values() if own is not first][: MAX_CLIPS - 1]
     return Section(
         "Measured against predicted",

@@ -97,6 +97,7 @@ def page(
     return template("page.html.j2").render(
         command=command, title=f"{title} · amhe {command}", heading=title, facts=facts, headline=headline,
         statements=statements, sections=sections,
+        ghosts=any('class="ghosts"' in one.figure for one in sections),
     )  # fmt: skip
 
 

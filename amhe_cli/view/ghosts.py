@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -25,6 +25,9 @@ from amhe_cli.matching.windows import starts_of
 from amhe_cli.system.description.data import Channel
 from amhe_cli.system.system import System
 from amhe_cli.view.scene import Geom, Scene, scene_of
+
+#: Values of the parameters as z (d,), or those at a time of the log [s].
+Candidate = FloatArray | Callable[[float], FloatArray]
 
 #: Most frames of a second; what lies between them is interpolated.
 RATE = 50.0
@@ -82,7 +85,8 @@ class Take:
 
     Args:
         recording: Row of its recording.
-        start, stop: Times of its first and last instant [s].
+        window: Its part of the log.
+        rows: Its instants that are shown, from its start.
         held_out: Whether it was left out of the fit; None: nothing was fitted.
         costs: Cost of each candidate; infinite where its rollout diverged.
         measured: The states that were measured.
@@ -90,12 +94,17 @@ class Take:
     """
 
     recording: int
-    start: float
-    stop: float
+    window: Window
+    rows: IntArray
     held_out: bool | None
     costs: tuple[float, ...]
     measured: Track
     ghosts: tuple[Track | None, ...]
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Times of its first and last instant [s]."""
+        return self.window.start * self.window.log.dt, self.window.stop * self.window.log.dt
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +128,8 @@ class Viewing:
         recordings: The logs.
         takes: The clips: those that were held out first, then by the last candidate's cost, largest first.
         left_out: Clips that would be too many.
+        logs: What each recording was made of.
+        engine: What computes predictions.
     """
 
     scene: Scene
@@ -127,12 +138,25 @@ class Viewing:
     recordings: tuple[Recording, ...]
     takes: tuple[Take, ...]
     left_out: int
+    logs: tuple[MeasuredLog, ...] = ()
+    engine: Engine | None = None
+
+    def again(self, take: Take, theta: FloatArray) -> tuple[Track | None, float]:
+        """The ghost of a clip under other values of the parameters (d,), and its cost.
+
+        Raises:
+            ConfigError: A value is not within its bounds.
+        """
+        measured, space = self.logs[take.recording], self.scene.system.space
+        assert self.engine is not None, "nothing was recorded"
+        (one,) = _predicted(measured.scene.system, [take.window], space.z_of(theta), self.engine)
+        return _ghost(measured, one, take.rows, take.measured), one.cost
 
 
 def viewing(
     system: System,
     parts: Sequence[tuple[Window, bool | None]],
-    candidates: Mapping[str, FloatArray],
+    candidates: Mapping[str, Candidate],
     engine: Engine,
     most: int = _STEPS,
     more: Sequence[Geom] = (),
@@ -142,7 +166,7 @@ def viewing(
     Args:
         system: The system.
         parts: Parts of the logs, and whether each was held out; None: nothing was fitted.
-        candidates: Name of a candidate -> its z, shape (d,); the best one last.
+        candidates: Name of a candidate -> its values; the best one last.
         engine: The system's engine.
         most: Most steps of all clips; of more clips some from all over the logs are taken.
         more: Geoms that do not move, drawn beside the model's own.
@@ -160,15 +184,19 @@ def viewing(
     seconds = (1 + len(candidates)) * sum(w.duration for w, _ in kept)
     rate = min(RATE, _CLIPS * _BYTES / max(frame * seconds, 1e-9))
     coarse = min(RATE, (1.0 - _CLIPS) * _BYTES / max(frame * sum(log.duration for log in logs), 1e-9))
-    z = np.stack(list(candidates.values()))
-    recordings, takes = [], []
+    values = list(candidates.values())
+    recordings, takes, read = [], [], []
     for number, log in enumerate(logs):
-        measured = MeasuredLog(scene, log, z[-1])
+        measured = MeasuredLog(scene, log, _at(values[-1], log.duration))
+        read.append(measured)
         recordings.append(Recording(Path(log.source).name, measured.track(coarse), measured.gaps))
         own = [(w, held) for w, held in kept if w.log is log]
-        takes += takes_of(measured, number, own, z, engine, rate) if own else ()
+        takes += takes_of(measured, number, own, values, engine, rate) if own else ()
     takes.sort(key=lambda take: (take.held_out is not True, -take.costs[-1]))
-    return Viewing(scene, columns, tuple(candidates), tuple(recordings), tuple(takes), len(cut) - len(kept))
+    return Viewing(
+        scene, columns, tuple(candidates), tuple(recordings), tuple(takes), len(cut) - len(kept),
+        tuple(read), engine,
+    )  # fmt: skip
 
 
 def columns_of(system: System, log: Log) -> Iterator[Plotted]:
@@ -250,11 +278,44 @@ class MeasuredLog:
         return np.broadcast_to(self.zero[channel.key], (count, 4))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Prediction:
+    """Row i of rollouts from some starts, and its cost; the model if its contact forces are shown."""
+
+    rolled: RolledOut
+    starts: Starts
+    i: int
+    cost: float
+    model: mujoco.MjModel | None = None
+
+
+def _at(candidate: Candidate, time: float) -> FloatArray:
+    """The values of a candidate at a time [s]."""
+    return candidate(time) if callable(candidate) else candidate
+
+
+def _predicted(
+    system: System, windows: Sequence[Window], candidate: Candidate, engine: Engine, forces: bool = False
+) -> Iterator[_Prediction]:
+    """Clips of one log rolled out under a candidate, each with the values where the clip starts."""
+    if callable(candidate):
+        for window in windows:
+            z = candidate(window.start * window.log.dt)
+            yield from _predicted(system, [window], z, engine, forces)
+        return
+    cost = MatchingCost(system, windows, engine, system.settings.cost)
+    (rolled,) = cost.rolled_out(candidate, None)  # one log: its clips are rolled out together
+    costs = cost.clip_costs(cost.residuals_of(rolled))[0]
+    model = system.edits.apply(system.model, rolled.theta) if forces else None
+    for i in range(len(windows)):
+        yield _Prediction(rolled, cost.clips.starts, i, float(costs[i]), model)
+
+
 def takes_of(
     measured: MeasuredLog,
     recording: int,
     windows: Sequence[tuple[Window, bool | None]],
-    z: FloatArray,
+    candidates: Sequence[Candidate],
     engine: Engine,
     rate: float,
 ) -> Iterator[Take]:
@@ -264,39 +325,30 @@ def takes_of(
         measured: The log.
         recording: Row of its recording.
         windows: The clips, and whether each was held out.
-        z: The candidates, shape (p, d).
+        candidates: The candidates.
         engine: The system's engine.
         rate: Frames of a second.
     """
-    system, dt = measured.scene.system, measured.log.dt
-    cost = MatchingCost(system, [window for window, _ in windows], engine, system.settings.cost)
-    rolled = [next(cost.rolled_out(one, None)) for one in z]  # one log: its clips are rolled out together
-    best = system.edits.apply(system.model, rolled[-1].theta) if collides(system.model) else None
-    costs = np.concatenate([cost.clip_costs(cost.residuals_of(one)) for one in rolled])
-    for i, (window, held_out) in enumerate(windows):
+    system, dt, clips = measured.scene.system, measured.log.dt, [window for window, _ in windows]
+    touching = [one is candidates[-1] and collides(system.model) for one in candidates]
+    every = [
+        _predicted(system, clips, one, engine, forces)
+        for one, forces in zip(candidates, touching, strict=True)
+    ]
+    for (window, held_out), *predictions in zip(windows, *every, strict=True):
         rows = np.arange(0, window.length + 1, min(_stride(rate, dt), window.length))
         own = measured.at(window.start + rows)
-        starts, forces = cost.clips.starts, [None] * (len(rolled) - 1) + [best]
-        pairs = zip(rolled, forces, strict=True)
-        ghosts = tuple(_ghost(measured, starts, one, i, rows, own, under) for one, under in pairs)
-        start, stop = window.start * dt, window.stop * dt
-        yield Take(recording, start, stop, held_out, tuple(map(float, costs[:, i])), own, ghosts)
+        ghosts = tuple(_ghost(measured, one, rows, own) for one in predictions)
+        yield Take(recording, window, rows, held_out, tuple(one.cost for one in predictions), own, ghosts)
 
 
-def _ghost(
-    measured: MeasuredLog,
-    starts: Starts,
-    rolled: RolledOut,
-    i: int,
-    rows: IntArray,
-    own: Track,
-    under: mujoco.MjModel | None,
-) -> Track | None:
-    """Clip i of rollouts at some of its instants, with the forces under a model; None where it diverged."""
+def _ghost(measured: MeasuredLog, one: _Prediction, rows: IntArray, own: Track) -> Track | None:
+    """A predicted clip at some of its instants, with the forces of its model; None where it diverged."""
+    rolled, i = one.rolled, one.i
     if not rolled.rollouts.completed[i]:
         return None
-    system, theta, some = measured.scene.system, rolled.theta[None], starts.of(np.array([i]))
-    qpos, qvel = (one[0] for one in some.states(system.model, 1, state_errors(system, theta, some)))
+    system, theta, some = measured.scene.system, rolled.theta[None], one.starts.of(np.array([i]))
+    qpos, qvel = (state[0] for state in some.states(system.model, 1, state_errors(system, theta, some)))
     states = {
         "qpos": np.concatenate((qpos, rolled.rollouts.qpos[i]))[rows],
         "qvel": np.concatenate((qvel, rolled.rollouts.qvel[i]))[rows],
@@ -309,14 +361,14 @@ def _ghost(
         true = states[channel.source][None][..., list(channel.columns)]
         shown = reading_of(channel, system.calibration.readings.get(channel.key), numbers, true)[0]
         if channel.kind == "rotation":
-            first = sum(one.shape[1] for one in found)
+            first = sum(values.shape[1] for values in found)
             turned = rotations.difference(shown, measured.zeros(channel, len(rows)))
             shown = continued(turned, own.values[0, first : first + 3])
         found.append(shown)
     values = np.concatenate(found, axis=1) if found else np.empty((len(rows), 0))
     scene = measured.scene
     poses = scene.poses(states["qpos"], driven if system.model.nmocap else None)
-    forces = None if under is None else scene.forces(under, states["qpos"], states["qvel"], driven)
+    forces = None if one.model is None else scene.forces(one.model, states["qpos"], states["qvel"], driven)
     return Track(own.step, poses, values, forces)
 
 

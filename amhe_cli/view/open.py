@@ -3,23 +3,111 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief import Belief, completed
 from amhe_cli.core.curves import TimeCurve
+from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.open import open_engine
-from amhe_cli.estimation.offline.clips import split_held_out, whole
+from amhe_cli.estimation.offline.clips import clip_name, split_held_out, whole
 from amhe_cli.system.system import System
-from amhe_cli.view.ghosts import Viewing, viewing
-from amhe_cli.view.page import Heading, parameter_rows, saved_page
-from amhe_cli.view.scene import Geom
+from amhe_cli.view.ghosts import Candidate, Take, Viewing, viewing
+from amhe_cli.view.page import Heading, ghost_data, parameter_rows, saved_page, strip_data
+from amhe_cli.view.scene import Geom, scene_of
+from amhe_cli.web import page as web
+from amhe_cli.web.plots import Curve, Mark, Panel, figure, shown_unit
+
+#: Pictures of a strip, and triangles of their meshes: a report stays small.
+_PICTURES, _TRIANGLES = 5, 5_000
+#: Columns of a whole log that are drawn.
+_COLUMNS = 4
 
 
-def page_of(
+@dataclass(frozen=True, slots=True, eq=False)
+class LogView:
+    """Logs with their ghosts, as a page and as parts of a report.
+
+    Args:
+        found: Clips and ghosts.
+        heading: What stands around the scene.
+    """
+
+    found: Viewing
+    heading: Heading = field(repr=False)
+
+    def page(self, **more: Any) -> str:
+        """The page; `more` as in `saved_page`."""
+        return saved_page(self.found, self.heading, **more)
+
+    def answer(self, asked: Mapping[str, str]) -> dict[str, Any]:
+        """Another ghost of a clip: `take`, its row, and a value for each parameter by name.
+
+        Raises:
+            ConfigError: There is no such clip, or a value is no number within its bounds.
+        """
+        space = self.found.scene.system.space
+        try:
+            take = self.found.takes[int(asked["take"])]
+            theta = np.array([float(asked[name]) for name in space.names])
+        except (KeyError, ValueError, IndexError):
+            raise ConfigError("give the row of a clip as `take`, and a value for each parameter") from None
+        if not all(p.lower <= value <= p.upper for p, value in zip(space.parameters, theta, strict=True)):
+            raise ConfigError("a value is not within its bounds")
+        return ghost_data(self.found, *self.found.again(take, theta))
+
+    def worst(self, names: Sequence[str]) -> int | None:
+        """Row of the clip that the first candidate misses most, of those with some names if one has it."""
+        takes = self.found.takes
+        held = [i for i, take in enumerate(takes) if take.held_out] or range(len(takes))
+        among = [i for i in held if clip_name(takes[i].window) in names] or held
+        return max(among, key=lambda i: takes[i].costs[0], default=None)
+
+    def strip(self, row: int) -> Markup:
+        """Pictures of a clip, measured and with its ghosts, that stage.js draws in a report."""
+        scene = scene_of(self.found.scene.system, most=_TRIANGLES)
+        values = strip_data(self.found, self.found.takes[row], scene, _PICTURES)
+        return Markup('<div class="ghosts"><script type="application/json">{}</script></div>').format(
+            web.data(values)
+        )
+
+    def whole_log(self) -> Markup:
+        """The first log as a whole: what moves most, measured and predicted over each clip."""
+        recording, columns = self.found.recordings[0], self.found.columns
+        takes = sorted((t for t in self.found.takes if t.recording == 0), key=lambda take: take.ends)
+        held = [Mark(take.ends, "held out", "given") for take in takes if take.held_out]
+        moved = np.array(
+            [np.ptp(v[np.isfinite(v)]) if np.isfinite(v).any() else 0.0 for v in recording.track.values.T]
+        )
+        noise = np.array([one.noise or np.inf for one in columns])
+        panels = []
+        for k in sorted(np.argsort(-moved / noise, kind="stable")[:_COLUMNS].tolist()):
+            factor, unit = shown_unit(columns[k].unit)
+            time = recording.track.step * np.arange(len(recording.track.values))
+            measured = Curve(time, factor * recording.track.values[:, k], "measured", "measured", "dots")
+            ghosts = [_over_clips(takes, i, k, name, factor) for i, name in enumerate(self.found.candidates)]
+            title = " ".join(dict.fromkeys((columns[k].channel, columns[k].name)))
+            panels.append(Panel(title, [*ghosts, measured], unit, marks=held))
+        return figure(panels, 1)
+
+
+def _over_clips(takes: Sequence[Take], i: int, k: int, name: str, factor: float) -> Curve:
+    """Column k of candidate i over all clips, open between them."""
+    x, y = [np.zeros(0)], [np.zeros(0)]
+    for take in takes:
+        if (ghost := take.ghosts[i]) is not None:
+            x += [take.ends[0] + ghost.step * np.arange(len(ghost.values)), np.array([take.ends[1]])]
+            y += [factor * ghost.values[:, k], np.array([np.nan])]
+    shape = "dashed" if name == "before" else "line"
+    return Curve(np.concatenate(x), np.concatenate(y), name, name, shape, leads=False)
+
+
+def view_of(
     system: System,
     logs: Sequence[Log],
     *,
@@ -30,25 +118,26 @@ def page_of(
     threads: int = 1,
     title: str = "",
     warnings: Sequence[str] = (),
-    known_as: str = "after",
+    verdicts: Mapping[str, str] | None = None,
     curves: Sequence[TimeCurve] = (),
     events: FloatArray | Sequence[float] = (),
     more: Sequence[Geom] = (),
-) -> str:
-    """The page of logs with their ghosts.
+) -> LogView:
+    """Logs with their ghosts.
 
     Args:
         system: The system.
         logs: The logs.
         held_out: Further logs that were only used to validate.
-        belief: What was identified, the second candidate; None: there is none.
+        belief: What was identified, the second candidate; None: what `curves` say was believed where a clip
+            starts, if they say it.
         first: Values of the first candidate by name, those with which something began; None: the system's
             nominal ones.
         fitted: `belief` comes from these logs: those clips come first that were held out of the fit.
         threads: CPU threads; the page does not depend on them.
         title: Title of the page; empty: the system's name.
         warnings: Further sentences that a reader needs to know.
-        known_as: Name of the second candidate.
+        verdicts: Verdict of each parameter by name.
         curves: Further numbers over the time of the first log.
         events: Times of the first log that one may want to jump to [s], shape (e,).
         more: Geoms that do not move, drawn beside the model's own.
@@ -57,10 +146,19 @@ def page_of(
         LogError: A log has no instant at which all of the state was measured.
     """
     begun = system.space.named(system.space.nominal) if first is None else first
-    start = np.array([begun[name] for name in system.space.names])
-    candidates = {"predicted" if belief is None else "before": system.space.z_of(start)}
+    start = system.space.z_of(np.array([begun[name] for name in system.space.names]))
+    estimates = {curve.name: curve for curve in curves if curve.group == "parameters"}
+    candidates: dict[str, Candidate] = {"before": start}
+    known: dict[str, tuple[float, float, float]] = {}
     if belief is not None:
-        candidates[known_as] = _identified(system, belief)
+        candidates["after"] = system.space.z_of(completed(belief, system).estimate)
+        ends = np.array([belief.estimate, *belief.interval]).T.tolist()
+        known = dict(zip(belief.names, map(tuple, ends), strict=True))
+    elif estimates.keys() >= set(system.space.names):
+        candidates["at that time"] = _believed(system, estimates, start)
+        known = {name: _last(curve) for name, curve in estimates.items()}
+    else:
+        candidates = {"predicted": start}
     parts = list(_parts(system, logs, held_out)) if fitted else [(whole(log), None) for log in logs]
     found = viewing(system, parts, candidates, open_engine(system, threads=threads), more=more)
     recording, *others = found.recordings
@@ -70,13 +168,29 @@ def page_of(
         title or system.name,
         (f"{seconds:.1f} s of log", f"{len(found.takes)} clips"),
         [*warnings, *_notes(found)],
-        parameter_rows(system.space, begun, belief),
+        parameter_rows(system.space, begun, known, verdicts or {}),
     )
-    return saved_page(found, heading)
+    return LogView(found, heading)
 
 
-def _identified(system: System, belief: Belief) -> FloatArray:
-    return system.space.z_of(completed(belief, system).estimate)
+def _last(curve: TimeCurve) -> tuple[float, float, float]:
+    """The last value of a curve, and its interval."""
+    value = float(curve.values[-1])
+    return (value, value, value) if curve.band is None else (value, *map(float, curve.band[:, -1]))
+
+
+def _believed(system: System, estimates: Mapping[str, TimeCurve], start: FloatArray) -> Candidate:
+    """What was believed at a time, as z (d,): the newest estimate before it, or the values of the start."""
+    curves = [estimates[name] for name in system.space.names]
+
+    def at(time: float) -> FloatArray:
+        rows = [int(np.searchsorted(curve.times, time + 1e-9, side="right")) - 1 for curve in curves]
+        if min(rows) < 0:
+            return start
+        theta = np.array([curve.values[row] for curve, row in zip(curves, rows, strict=True)])
+        return system.space.z_of(theta)
+
+    return at
 
 
 def _parts(

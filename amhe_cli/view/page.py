@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.belief import Belief
 from amhe_cli.core.curves import TimeCurve
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.text import printable
@@ -56,10 +55,39 @@ class Heading:
 Packed = Callable[[Track], dict[str, Any]]
 
 
-def saved_page(viewing: Viewing, heading: Heading) -> str:
-    """The page of a viewing, with all of its frames."""
+def saved_page(viewing: Viewing, heading: Heading, **more: Any) -> str:
+    """The page of a viewing, with all of its frames.
+
+    Args:
+        viewing: The viewing.
+        heading: What stands around the scene.
+        more: `report`: address of the report of the same result; `asks`: who serves the page answers where
+            it asks for another ghost.
+    """
     data, packed = _recorded(viewing)
-    return _page(heading, data | {"takes": [take_data(take, packed) for take in viewing.takes]})
+    return _page(heading, data | {"takes": [take_data(take, packed) for take in viewing.takes]} | more)
+
+
+def ghost_data(viewing: Viewing, ghost: Track | None, cost: float) -> dict[str, Any]:
+    """Another ghost of a clip as plain values, packed as in the page."""
+    return {"track": None if ghost is None else _recorded(viewing)[1](ghost), "cost": cost}
+
+
+def strip_data(viewing: Viewing, take: Take, scene: Scene, instants: int) -> dict[str, Any]:
+    """A clip at some instants: the bodies as they were measured and as each candidate predicts them.
+
+    Args:
+        viewing: The viewing.
+        take: The clip.
+        scene: What is drawn, of the same bodies.
+        instants: How many; the last one is the end of the clip.
+    """
+    rows = np.linspace(0, len(take.rows) - 1, instants + 1).round().astype(int)[1:]
+    tracks = [track for track in (take.measured, *take.ghosts) if track is not None]
+    return _about(scene, (), viewing.candidates) | {
+        "times": take.ends[0] + take.measured.step * rows,
+        "frames": [[_floats(track.poses[row]) for track in tracks] for row in rows],
+    }
 
 
 def live_page(
@@ -87,7 +115,7 @@ def take_data(take: Take, packed: Packed) -> dict[str, Any]:
     """A clip as plain values."""
     tracks = (take.measured, *take.ghosts)
     return {
-        "recording": take.recording, "start": take.start, "stop": take.stop, "held": take.held_out,
+        "recording": take.recording, "start": take.ends[0], "stop": take.ends[1], "held": take.held_out,
         "costs": take.costs, "tracks": [None if one is None else packed(one) for one in tracks],
     }  # fmt: skip
 
@@ -132,16 +160,18 @@ def _curve(curve: TimeCurve) -> dict[str, Any]:
 
 
 def parameter_rows(
-    space: ParameterSpace, first: Mapping[str, float], belief: Belief | None
+    space: ParameterSpace,
+    first: Mapping[str, float],
+    known: Mapping[str, tuple[float, float, float]],
+    verdicts: Mapping[str, str],
 ) -> list[dict[str, Any]]:
-    """Name, unit and first value of each parameter; where there is a belief, estimate and 90 % interval."""
-    rows = []
-    for p in space.parameters:
-        row: dict[str, Any] = {"name": p.name, "unit": _unit(p.unit), "first": first[p.name]}
-        if belief is not None and p.name in belief.names:
-            i = belief.names.index(p.name)
-            lower, upper = (float(end[i]) for end in belief.interval)
-            row |= {"estimate": float(belief.estimate[i]), "lower": lower, "upper": upper}
+    """Name, unit, first value and the ends of a slider of each parameter; estimate, interval and verdict."""
+    rows, far = [], np.full(len(space), 2.5)
+    for p, *ends in zip(space.parameters, space.theta_of(-far), space.theta_of(far), strict=True):
+        low, high = (float(np.clip(end, p.lower, p.upper)) for end in ends)
+        row: dict[str, Any] = {"name": p.name, "unit": _unit(p.unit), "first": first[p.name], "log": p.log}
+        row |= {"low": low, "high": high, "verdict": verdicts.get(p.name, "")}
+        row |= dict(zip(("estimate", "lower", "upper"), known.get(p.name, ()), strict=False))
         rows.append(row)
     return rows
 

@@ -113,12 +113,13 @@ class Scene:
         return [i for i, body in enumerate(self.bodies) if body in missing]
 
 
-def scene_of(system: System, more: Sequence[Geom] = ()) -> Scene:
+def scene_of(system: System, more: Sequence[Geom] = (), most: int = _TRIANGLES) -> Scene:
     """The scene of a system; shapes that no group shows stand in where nothing else would be seen.
 
     Args:
         system: The system.
         more: Geoms that do not move, drawn beside the model's own.
+        most: Triangles of all meshes together, at most about so many.
     """
     model = system.model
     moving = [body for body in range(1, model.nbody) if _moves(model, body)]
@@ -126,8 +127,8 @@ def scene_of(system: System, more: Sequence[Geom] = ()) -> Scene:
     seen = {int(model.geom_bodyid[g]) for g in shown}
     shown += [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) in set(moving) - seen]
     drawn = [body for body in moving if body in {int(model.geom_bodyid[g]) for g in shown}]
-    most = _TRIANGLES // max(1, sum(int(model.geom_dataid[g]) >= 0 for g in shown))
-    geoms = [found for g in shown if (found := _geom(model, g, drawn, most)) is not None]
+    each = most // max(1, sum(int(model.geom_dataid[g]) >= 0 for g in shown))
+    geoms = [found for g in shown if (found := _geom(model, g, drawn, each)) is not None]
     return Scene(system, tuple(drawn), (*geoms, *more))
 
 

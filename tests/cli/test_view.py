@@ -73,14 +73,18 @@ def test_a_result_shows_both_ghosts_and_its_held_out_clips_first(result: Path, t
 
 
 @pytest.mark.medium
-def test_a_replay_shows_its_estimates_over_time_and_the_last_one_as_a_ghost(
+def test_a_replay_shows_its_estimates_over_time_and_that_of_each_clip_as_a_ghost(
     pendulum_log: Path, result: Path, tmp_path: Path
 ) -> None:
     out, page = tmp_path / "replay", tmp_path / "page.html"
     assert run(["mhe-replay", str(pendulum_log), "--from", "1", "--to", "4", "-q", "-o", str(out)]) == 0
     assert run(["view", str(out), "--save", str(page)]) == 0
     record, data = json.loads((out / "result.json").read_text()), data_of(page)
-    assert data["candidates"] == ["before", "after"]
+    assert data["candidates"] == ["before", "at that time"]
+    late = [take["costs"] for take in data["takes"] if take["start"] > 1.9]
+    early = [take["costs"] for take in data["takes"] if take["stop"] <= 1.0]
+    assert len(late) > 2 and all(then < 0.5 * before for before, then in late)
+    assert early and all(then == before for before, then in early), "nothing was estimated yet"
     last = {row["name"]: row for row in record["parameters"]}
     for row in data["parameters"]:
         assert row["first"] == pytest.approx(last[row["name"]]["start"])

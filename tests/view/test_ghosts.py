@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 
 import amhe_cli as amhe
+from amhe_cli.core.curves import TimeCurve
+from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.rotations import exp
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline.clips import whole
 from amhe_cli.view.ghosts import Viewing, continued, viewing
-from amhe_cli.view.open import page_of
+from amhe_cli.view.open import view_of
 from amhe_cli.view.page import Heading, saved_page
 from amhe_cli.view.scene import scene_of
 from amhe_cli.view.shapes import Shape, decimated, shape_of
@@ -92,6 +94,46 @@ def test_a_gap_is_marked_and_keeps_the_last_state(system: amhe.System, tmp_path:
     assert (np.ptp(track.poses[round(1.6 / track.step) : round(2.4 / track.step)], axis=0) == 0.0).all()
 
 
+def test_another_ghost_is_predicted_when_it_is_asked_for(system: amhe.System, log: amhe.Log) -> None:
+    view = view_of(system, [log])
+    first = system.space.named(system.space.nominal)
+    (nominal,) = view.found.takes[2].ghosts
+    assert nominal is not None
+    same, cost = view.found.again(view.found.takes[2], system.space.nominal)
+    assert same is not None and same.poses == pytest.approx(nominal.poses, abs=1e-9)
+    assert cost == pytest.approx(view.found.takes[2].costs[0])
+    asked = {"take": "2", **{name: str(value) for name, value in first.items()}}
+    true = {name: str(value) for name, value in PENDULUM_TRUTH.items()}
+    assert view.answer(asked)["cost"] == pytest.approx(cost)
+    assert view.answer(asked | true)["cost"] < 0.2 * cost
+    for wrong in (
+        {"take": "999"},
+        {"take": "x"},
+        {"load_mass": "nan"},
+        {"load_mass": "-1"},
+        {"load_mass": "1e9"},
+    ):
+        with pytest.raises(ConfigError):
+            view.answer(asked | wrong)
+    with pytest.raises(ConfigError):
+        view.answer({})
+
+
+def test_what_was_believed_then_predicts_each_clip(system: amhe.System, log: amhe.Log) -> None:
+    """The estimate becomes true in the middle of the log: clips before it are predicted as before it."""
+    times, half = np.array([0.0, 4.0]), PENDULUM_TRUTH
+    first = system.space.named(system.space.nominal)
+    curves = [
+        TimeCurve(name, "parameters", "", times, np.array([first[name], half[name]]))
+        for name in system.space.names
+    ]
+    view = view_of(system, [log], curves=curves)
+    assert view.found.candidates == ("before", "at that time")
+    for take in view.found.takes:
+        before, then = take.costs
+        assert then < 0.5 * before if take.ends[0] >= 4.0 else then == pytest.approx(before)
+
+
 def test_a_page_of_a_long_log_stays_small(system: amhe.System, tmp_path: Path) -> None:
     time = np.arange(0.0, 600.0, 0.01)
     (quantity,) = next(signal.quantities for signal in system.signals if signal.name == "command")
@@ -99,7 +141,7 @@ def test_a_page_of_a_long_log_stays_small(system: amhe.System, tmp_path: Path) -
         "joints": {"time": time, "position": np.sin(time), "velocity": np.cos(time)},
         "command": {"time": time, quantity: np.sin(time)},
     }
-    page = page_of(system, [amhe.Log.from_arrays(arrays, system)])
+    page = view_of(system, [amhe.Log.from_arrays(arrays, system)]).page()
     assert len(page) < 5_000_000
     assert "more clips are not shown" in page
 

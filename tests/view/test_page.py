@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 import amhe_cli as amhe
+from amhe_cli.view.open import view_of
+from amhe_cli.view.server import PageServer
 from tests.view.browser import PIXELS, Browser, browser, needs_chromium
 
 FRAMES = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(player.now))))"
@@ -31,9 +33,11 @@ def page(pendulum_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     known = amhe.Belief("pendulum", system.space.names, tuple(p.unit for p in system.space.parameters),
                         (True,) * 4, belief, 1e-4 * np.eye(4))  # fmt: skip
     log = amhe.read_log(pendulum_log, system)
-    return amhe.show(system, log, known, belief_anyway=True).save(
-        tmp_path_factory.mktemp("page") / "page.html"
-    )
+    verdicts = {"load_mass": "identified"}
+    view = view_of(system.starting_from(known, belief_anyway=True)[0], [log], belief=known, verdicts=verdicts)
+    path = tmp_path_factory.mktemp("page") / "page.html"
+    path.write_text(view.page(report="report.html"), encoding="utf-8")
+    return path
 
 
 @pytest.fixture(scope="module")
@@ -197,3 +201,51 @@ def test_nothing_is_wider_than_the_window(opened: Browser, page: Path, width: in
     assert opened.run("document.documentElement.scrollWidth") <= width
     background = opened.run("getComputedStyle(document.body).backgroundColor")
     assert (background != "rgb(255, 255, 255)") is dark
+
+
+def test_an_address_names_a_clip_and_a_time(opened: Browser, page: Path) -> None:
+    start = opened.run("player.takes[2].start")
+    opened.open(f"{page.as_uri()}#clip=3&t={start + 0.2:.2f}")
+    assert opened.run("player.takes.indexOf(player.take)") == 2
+    assert opened.run("player.now") == pytest.approx(start + 0.2, abs=0.01)
+    opened.run("location.hash = '#clip=1'")
+    assert opened.run(f"{FRAMES}.then(() => player.takes.indexOf(player.take))") == 0
+
+
+def test_verdicts_and_the_report_stand_on_the_page(opened: Browser) -> None:
+    assert opened.run("document.querySelector('#report a').getAttribute('href')") == "report.html"
+    assert opened.run("document.querySelector('#parameters .verdict').textContent") == "identified"
+
+
+def test_colours_of_distance_mean_the_same_in_every_clip(opened: Browser) -> None:
+    opened.run("document.getElementById('distance').click()")
+    scales = set()
+    for i in range(3):
+        opened.run(f"player.choose(player.takes[{i}])")
+        scales.add(opened.run(f"{FRAMES}.then(() => document.getElementById('most').textContent)"))
+    assert len(scales) == 1
+
+
+def test_a_served_page_predicts_again_when_a_slider_is_dragged(
+    page: Path, chromium: Browser, pendulum_log: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    system = amhe.System.load("pendulum")
+    view = view_of(system, [amhe.read_log(pendulum_log, system)])
+    chromium.ask("Network.emulateNetworkConditions", offline=False, latency=0, downloadThroughput=-1,
+                 uploadThroughput=-1)  # fmt: skip
+    with PageServer(view.page(asks=True), answer=view.answer) as server:
+        chromium.open(server.address)
+        chromium.run(
+            "(() => { const one = document.querySelector('.slide input'); one.value = 0.9; "
+            "one.dispatchEvent(new Event('input')); })()"
+        )
+        cost = chromium.run(
+            "new Promise((done) => { const wait = () => player.take.yours ? done(player.take.yours.cost) : "
+            "setTimeout(wait, 20); wait(); })"
+        )
+        mass = chromium.run("player.sliders.get('load_mass')()")
+    values = {name: str(value) for name, value in system.space.named(system.space.nominal).items()}
+    assert mass > 1.2 * float(values["load_mass"])
+    asked = view.answer({"take": "0", **values, "load_mass": str(mass)})
+    assert cost == pytest.approx(asked["cost"])
+    assert "yours: cost" in chromium.run("document.getElementById('tried').textContent")

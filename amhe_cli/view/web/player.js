@@ -1,12 +1,13 @@
 // The page: time, clips, layers; and in a live page the frames that arrive.
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
+const LONG = 3;  // seconds in which a clip plays
 const RAMP = [[0.17, 0.42, 0.69], [0.22, 0.7, 0.67], [0.93, 0.79, 0.29], [0.87, 0.29, 0.16]];
 // Colours of the ghosts, by their names in style.css; any other one is that of what was identified.
 const GHOSTS = { before: "before", predicted: "before", yours: "violet" };
 
 class Player {
   constructor(data) {
-    this.data = data; this.now = 0; this.speed = 1; this.playing = false; this.take = null; this.row = 0; this.most = 0.01;
+    this.data = data; this.now = 0; this.speed = null; this.playing = false; this.take = null; this.row = 0;
     this.decode();
     this.shown = new Set(["measured", ...data.candidates]);
     this.plots = new Plots($("panels"), { seek: (time) => this.seek(time) });
@@ -14,7 +15,8 @@ class Player {
     try { this.stage = Object.assign(new Stage($("scene"), data), { changed: () => this.dirty = true, failed }); } catch (error) { failed(error.message); }
     for (const note of data.notes) $("notes").append(made("li", { textContent: note }));
     this.palette(); this.layers(); this.controls(); this.list(); this.table(); this.channels();
-    if (this.takes.length && !this.recording.curves.size) this.choose(this.takes[0]); else this.fit();
+    if (!this.linked() && this.takes.length && !this.recording.curves.size) this.choose(this.takes[0]); else this.fit();
+    addEventListener("hashchange", () => this.linked());
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { this.palette(); this.redraw(); });
     new ResizeObserver(() => this.redraw()).observe(document.body);
     this.redraw(); requestAnimationFrame((stamp) => this.frame(stamp));
@@ -24,7 +26,7 @@ class Player {
   get end() { return this.recording.track.duration; }
   decode() {
     const { data } = this, count = data.bodies.length, width = data.columns.length;
-    const track = (one) => one && Object.assign(new Track(one.step, count, width, unpacked(one.poses, data.ranges.poses), unpacked(one.values, data.ranges.values)),
+    const track = this.unpack = (one) => one && Object.assign(new Track(one.step, count, width, unpacked(one.poses, data.ranges.poses), unpacked(one.values, data.ranges.values)),
       one.forces ? { forces: unpacked(one.forces, data.ranges.forces), touching: one.touching } : {});
     this.decoded = (take) => ({ ...take, tracks: take.tracks.map(track) });
     this.recordings = data.recordings.map((one) => ({ ...one, track: track(one.track), ghosts: data.candidates.map(() => track({ ...one.track, poses: "", values: "" })), takes: [], drawn: new Map(), curves: new Map(one.curves.map((curve) => [curve.name, curveOf(curve)])) }));
@@ -37,6 +39,7 @@ class Player {
     const parts = (name) => { const text = color(name); return [1, 3, 5].map((i) => parseInt(text.slice(i, i + 2), 16) / 255); };
     this.solid = { sky: parts("sky"), ground: parts("ground"), grid: parts("grid"), dark: matchMedia("(prefers-color-scheme: dark)").matches };
     this.tints = this.data.candidates.map((name) => parts(ghost(name)));
+    this.yours = parts(ghost("yours"));
     this.colors = { gap: color("gap"), event: color("amber") };
   }
   layers() {
@@ -58,8 +61,10 @@ class Player {
     box.append(made("label", { title: "Colour each body of a ghost by its distance from where it was measured" }, check, "colour by distance"));
   }
   controls() {
-    for (const speed of SPEEDS) $("speed").append(made("option", { value: speed, textContent: `${speed}×`, selected: speed === 1 }));
-    $("speed").addEventListener("change", () => this.speed = Number($("speed").value));
+    $("speed").append(made("option", { value: "", textContent: `clip in ${LONG} s`, selected: true }));
+    for (const speed of SPEEDS) $("speed").append(made("option", { value: speed, textContent: `${speed}×` }));
+    $("speed").addEventListener("change", () => this.speed = Number($("speed").value) || null);
+    if (this.data.report) $("report").append(made("a", { href: this.data.report, textContent: "report" }));
     $("play").addEventListener("click", () => this.play(!this.playing));
     $("back").addEventListener("click", () => this.step(-1)); $("forth").addEventListener("click", () => this.step(1));
     $("next").addEventListener("click", () => this.next());
@@ -93,16 +98,41 @@ class Player {
     });
     this.listening = true;
   }
+  // Each parameter: its values, its verdict, and where the page is served a slider that asks for another ghost.
   table() {
-    const rows = this.data.parameters, known = rows.some((row) => row.estimate !== undefined);
+    const rows = this.data.parameters, known = rows.some((row) => row.estimate !== undefined), { asks } = this.data;
     $("parameters").hidden = !rows.length;
-    const head = made("tr", {}, ...["parameter", this.data.candidates[0], ...(known ? ["estimate"] : [])].map((text) => made("th", { textContent: text, scope: "col" })));
-    const body = rows.map((row) => {
-      const cells = [made("td", {}, row.name, made("small", { textContent: row.unit })), made("td", { textContent: brief(row.first) })];
+    const head = made("tr", {}, ...["parameter", this.data.candidates[0], ...(known ? [this.data.candidates.includes("at that time") ? "at the end" : "after"] : [])].map((text) => made("th", { textContent: text, scope: "col" })));
+    this.sliders = new Map();
+    const body = rows.flatMap((row) => {
+      const about = made("small", {}, row.unit), chip = row.verdict ? [made("span", { className: `verdict ${row.verdict}`, textContent: row.verdict })] : [];
+      const cells = [made("td", {}, row.name, about, ...chip), made("td", { textContent: brief(row.first) })];
       if (known) cells.push(row.estimate === undefined ? made("td") : made("td", { title: "estimate and 90 % interval" }, brief(row.estimate), made("small", { textContent: `${brief(row.lower)} to ${brief(row.upper)}` })));
-      return made("tr", {}, ...cells);
+      if (!asks) return [made("tr", {}, ...cells)];
+      const start = row.estimate ?? row.first, low = Math.min(row.low, start), high = Math.max(row.high, start), log = row.log && low > 0;
+      const value = (share) => log ? low * (high / low) ** share : low + share * (high - low);
+      const slider = made("input", { type: "range", min: 0, max: 1, step: "any", title: "Drag: the clip is predicted again" }), told = made("output");
+      slider.setAttribute("aria-label", `Try another ${row.name}`); slider.value = log ? Math.log(start / low) / Math.log(high / low) : (start - low) / (high - low || 1);
+      this.sliders.set(row.name, () => slider.dataset.moved ? value(Number(slider.value)) : start);
+      slider.addEventListener("input", () => { slider.dataset.moved = "yes"; told.textContent = brief(value(Number(slider.value))); this.try(); });
+      return [made("tr", {}, ...cells), made("tr", { className: "slide" }, made("td", { colSpan: cells.length }, slider, told))];
     });
     $("parameters").querySelector("table").replaceChildren(made("thead", {}, head), made("tbody", {}, ...body));
+  }
+  // Asks for a ghost under the sliders' values, one at a time; the newest values count.
+  async try() {
+    const own = this.takes.indexOf(this.take), moved = [...document.querySelectorAll(".slide input")].some((one) => one.dataset.moved);
+    if (!this.data.asks || own < 0 || !moved) return;
+    if (this.asked) { this.again = true; return; }
+    this.asked = true;
+    const values = [...this.sliders].map(([name, value]) => [name, value()]);
+    try {
+      const answer = await fetch(`ask?${new URLSearchParams([["take", own], ...values])}`), found = answer.ok ? await answer.json() : null;
+      if (found) this.takes[own].yours = { ...found, track: this.unpack(found.track) };
+      $("tried").textContent = found ? `yours: cost ${found.cost === null ? "diverged" : brief(found.cost)} in this clip, after ${brief(this.takes[own].costs.at(-1) ?? NaN)}` : "The page is no longer served: start amhe view again.";
+    } catch { $("tried").textContent = "The page is no longer served: start amhe view again."; }
+    $("tried").hidden = false; this.asked = false; this.redraw();
+    if (this.again) { this.again = false; this.try(); }
   }
   // What the plots can show: each channel of the log, and each group of other numbers.
   channels() {
@@ -135,6 +165,7 @@ class Player {
       const parts = inside.filter((take) => take.tracks[i + 1]).map((take) => [take.tracks[i + 1], take.start]);
       if (this.shown.has(name)) curve(parts, { name, color: ghost(name), shape: i === 0 && this.data.candidates.length > 1 ? "dashed" : "line", leads: false });
     });
+    if (this.take?.yours?.track) curve([[this.take.yours.track, this.take.start]], { name: "yours", color: ghost("yours"), leads: false });
     if (this.shown.has("measured")) curve([this.take ? [this.take.tracks[0], this.take.start] : [this.recording.track, 0]], { name: "measured", color: "measured", shape: "dots" });
     return lines;
   }
@@ -147,7 +178,14 @@ class Player {
     for (const one of this.takes) if (one.line) one.line.setAttribute("aria-selected", one === take);
     $("whole").setAttribute("aria-pressed", !take);
     if (take) { this.row = take.recording; $("recording").value = this.row; this.now = this.playing ? take.start : take.start + 0.7 * (take.stop - take.start); $("list").setAttribute("aria-activedescendant", take.line.id); take.line.scrollIntoView({ block: "nearest" }); }
-    this.fit(); this.redraw();
+    this.try(); this.fit(); this.redraw();
+  }
+  // A clip and a time that the page's address names, as in #clip=3&t=12.1; clips count from 1.
+  linked() {
+    const asked = new URLSearchParams(location.hash.slice(1)), take = this.takes[Number(asked.get("clip")) - 1], time = Number(asked.get("t") ?? NaN);
+    if (take) this.choose(take);
+    if (Number.isFinite(time)) { this.seek(time); this.redraw(); }
+    return Boolean(take) || Number.isFinite(time);
   }
   // Moves the camera so far away that everything that moves is in the picture.
   fit() {
@@ -178,7 +216,7 @@ class Player {
     const past = Math.min(0.1, (stamp - (this.stamp ?? stamp)) / 1000), [from, to] = this.span();
     this.stamp = stamp;
     if (this.playing) {
-      this.now += past * this.speed; this.dirty = true;
+      this.now += past * (this.speed ?? (this.take ? Math.min(1, (to - from) / LONG) : 1)); this.dirty = true;
       if (this.now > to) this.now = this.take ? from : to;
       if (this.now >= to && !this.take && !this.data.live) this.play(false);
     }
@@ -217,10 +255,11 @@ class Player {
     const measured = take ? take.tracks[0].at(this.now - take.start) : track.at(this.now);
     const predicted = this.data.candidates.map((_, i) => take ? take.tracks[i + 1]?.at(this.now - take.start) : ghosts[i]?.count ? ghosts[i].at(this.now) : null);
     const home = gaps.some(([a, b]) => a <= this.now && this.now < b), layers = [];
-    if (this.far) this.scale(take, measured);
+    if (this.far) this.scale();
     predicted.forEach((poses, i) => {  // the best one covers the others
       if (poses && this.shown.has(this.data.candidates[i])) layers.unshift({ poses, tint: this.tints[i], opacity: this.far ? 0.8 : 0.45, tints: this.far ? this.distances(measured, poses).map((d) => mixed(d / this.most)) : null });
     });
+    if (take?.yours?.track) layers.unshift({ poses: take.yours.track.at(this.now - take.start), tint: this.yours, opacity: 0.6 });
     if (this.shown.has("measured")) layers[this.far ? "push" : "unshift"]({ poses: measured, opacity: 1, home });
     this.stage.draw(layers, this.middle(take, track), this.solid, { ...this.drawn(take), weight: this.data.weight });
   }
@@ -245,11 +284,16 @@ class Player {
     return times(sum, 1 / count);
   }
   distances(a, b) { return Array.from({ length: this.data.bodies.length }, (_, i) => Math.hypot(a[7 * i] - b[7 * i], a[7 * i + 1] - b[7 * i + 1], a[7 * i + 2] - b[7 * i + 2])); }
-  scale(take, measured) {
-    if (take && take !== this.scaled) {
-      this.scaled = take; this.most = 1e-3;
-      for (const track of take.tracks.slice(1)) if (track) for (let i = 0; i <= 10; i++) { const time = i / 10 * track.duration; this.most = Math.max(this.most, ...this.distances(take.tracks[0].at(time), track.at(time))); }
+  // One scale for all clips of a log: the largest distance of a ghost from what was measured.
+  scale() {
+    const { recording } = this;
+    if (!recording.most) {
+      recording.most = 1e-3;
+      for (const take of recording.takes) for (const track of take.tracks.slice(1)) if (track) for (let i = 0; i <= 10; i++) {
+        const time = i / 10 * track.duration; recording.most = Math.max(recording.most, ...this.distances(take.tracks[0].at(time), track.at(time)));
+      }
     }
+    this.most = recording.most;
     $("most").textContent = this.most < 0.1 ? `${brief(1000 * this.most)} mm` : `${brief(this.most)} m`;
   }
 }

@@ -1,0 +1,27 @@
+// Pictures of a clip at some instants: one scene, drawn once for each, as the view draws it.
+function strip(box) {
+  const data = JSON.parse(box.querySelector("script").textContent), canvas = made("canvas");
+  canvas.style.cssText = "position:absolute;left:-9999px;width:400px;height:300px"; box.append(canvas);
+  let stage;
+  try { stage = new Stage(canvas, data); } catch { box.hidden = true; return; }
+  const style = getComputedStyle(document.documentElement);
+  const parts = (name) => { const text = style.getPropertyValue("--" + name).trim(); return [1, 3, 5].map((i) => parseInt(text.slice(i, i + 2), 16) / 255); };
+  const pictures = data.times.map((time) => {
+    const picture = made("canvas", { width: 400, height: 300 });
+    picture.setAttribute("role", "img"); picture.setAttribute("aria-label", `The scene at ${time.toFixed(2)} s`);
+    box.append(made("div", {}, picture, made("span", { textContent: `${time.toFixed(2)} s` })));
+    return picture;
+  });
+  const frames = data.frames.map((frame) => frame.map(floats));
+  stage.camera.away = 2.1 * Math.max(...frames.map(([own]) => stage.bounds(own).radius));
+  const paint = () => {
+    const colors = { sky: parts("faint"), ground: parts("rule"), grid: parts("prior"), dark: matchMedia("(prefers-color-scheme: dark)").matches };
+    frames.forEach(([own, ...ghosts], i) => {
+      const layers = ghosts.map((poses, k) => ({ poses, tint: parts(data.candidates[k]), opacity: 0.5 })).reverse();
+      stage.draw([{ poses: own, opacity: 1 }, ...layers], stage.bounds(own).middle, colors, {});
+      pictures[i].getContext("2d").drawImage(canvas, 0, 0, 400, 300);
+    });
+  };
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", paint); paint();
+}
+for (const box of document.querySelectorAll(".ghosts")) strip(box);
