@@ -51,6 +51,12 @@ def _beliefs(ctx: click.Context, param: click.Parameter, value: tuple[str, ...])
         "--seeds", "Seeds 0 to N - 1 of each, the same for all modes.", COUNT, default=15, show_default=True
     ),
     option(
+        "--plants",
+        "Robots to run on, as of amhe run --plant.  [default: ours]",
+        metavar="P,...",
+        callback=listed,
+    ),
+    option(
         "ablations --ablate",
         "Try values of one setting, all others at the operating point; repeat for more. A key without a dot "
         "is a setting of mhe, or else of control, or one of the paper's: L_MHE, B, dt_update, H, alpha, "
@@ -65,6 +71,7 @@ def _beliefs(ctx: click.Context, param: click.Parameter, value: tuple[str, ...])
         metavar="TASK=FILE",
         callback=_beliefs,
     ),
+    options.robot,
     options.duration,
     options.engine,
     options.spread,
@@ -94,7 +101,7 @@ def evaluate(session: Session, given: Given) -> None:
         return _tell(session, open_store(given.report), 0)
     if given.resume and given.out is None:
         raise click.UsageError("--resume goes on in a folder: name it with -o OUT")
-    wanted = given.pick("tasks", "modes", "seeds", "ablations", "beliefs")
+    wanted = given.pick("tasks", "modes", "seeds", "plants", "ablations", "beliefs")
     chosen = EvalOptions(settings=given.overrides.all, duration=given.seconds, **wanted)
     study = study_of(chosen, session.command_line, now(), machine())
     cells = planned(chosen, study)

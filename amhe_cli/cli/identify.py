@@ -39,6 +39,8 @@ def _a_cause(ctx: click.Context, param: click.Parameter, value: str | None) -> s
     ),
     options.believed("Start from an earlier belief.yaml instead of the system's own prior."),
     options.narrowing,
+    options.unknowns,
+    options.robot,
     option(
         "--repair",
         "Give a copy of the system, in OUT/system, what it lacks: each cause, or the one named, stays if "

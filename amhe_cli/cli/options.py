@@ -32,9 +32,9 @@ _DATA, _START, _SEARCH, _COMPUTING = "Logs and system", "What is known", "The es
 _LISTENING, _SETTINGS, _OUTPUT = "Where messages come from", "Settings", "Output"
 
 
-def task(about: str, default: str | None = "t1") -> Option:
+def task(about: str, default: str | None = "t1", more: tuple[str, ...] = ()) -> Option:
     """Whose box and floor."""
-    return option("--task", about, TASKS, default=default, show_default=bool(default))
+    return option("--task", about, (*TASKS, *more), default=default, show_default=bool(default))
 
 
 def seconds(about: str, default: float | None = None, shown: Any = True, **bounds: Any) -> Option:
@@ -205,6 +205,38 @@ narrowing = in_panel(
         multiple=True,
         callback=lambda ctx, param, given: list(listed(ctx, param, given)) or None,
     ),
+)
+
+
+def _asked(ctx: click.Context, param: click.Parameter, given: str | None) -> str | None:
+    names = listed(ctx, param, given)
+    return f"[{', '.join(names)}]" if names else None
+
+
+def _held(ctx: click.Context, param: click.Parameter, path: Path | None) -> dict[str, float] | None:
+    if path is None:
+        return None
+    from amhe_cli.core.belief import held_by, read_belief
+
+    known = held_by(read_belief(path))
+    return {f"{name}.{key}": value for name, keys in known.items() for key, value in keys.items()}
+
+
+unknowns = setting(
+    "unknowns",
+    "What is estimated, where a system holds some parameters: of go1_push box (the default) or robot.",
+    metavar="GROUP|NAME,...",
+    callback=_asked,
+    panel=_START,
+)
+robot = option(
+    "--robot",
+    "Belief of identify --unknowns robot: the robot's own numbers are held at its values, and what they leave "
+    "open widens the intervals of the others.",
+    FILE,
+    setting="parameters",
+    callback=_held,
+    panel=_START,
 )
 max_time = option(
     "--max-time",

@@ -9,7 +9,7 @@ import click
 
 from amhe_cli.cli import at_the_robot, options
 from amhe_cli.cli.command import Given, command, flag, option
-from amhe_cli.cli.kinds import FILE, Number
+from amhe_cli.cli.kinds import Number
 from amhe_cli.cli.session import Session, stopping
 
 if TYPE_CHECKING:
@@ -29,18 +29,20 @@ def _recipe(name: str, about: str) -> Any:
     at_the_robot.REACH,
     at_the_robot.dry_run_option(f"Write plan.json and stop before anything moves; {at_the_robot.CHECKS}"),
     options.task(
-        "Whose box and floor go1_push is probed with, as they are before anything changes.  [default: t1]",
+        "Whose box and floor go1_push is probed with, as they are before anything changes; walk: free walking, "
+        "which reveals the robot itself.  [default: t1]",
         None,
+        ("walk",),
     ),
     options.seconds("The longest that the probe may take.", 10.0, max=600),
     options.believed("A belief.yaml to design with, and to walk with, instead of the system's own prior."),
     options.narrowing,
+    options.robot,
     option(
         "--plant",
-        "MJCF of what is probed in simulation, instead of the system's own model: another Go1, or another "
-        "model with the same joints and actuators.",
-        FILE,
-        metavar="XML",
+        "What is probed in simulation, instead of the system's own model: another Go1, as of amhe run, or the "
+        "MJCF of another model with the same joints and actuators.",
+        metavar="NAME|XML",
     ),
     option(
         "--box",
@@ -97,7 +99,7 @@ def probe(session: Session, given: Given) -> None:
     log = log_name(opened.system.signals)
     say = click.get_current_context().with_resource(progress(session, "probe", _shown))
     plan = opened.design(say)
-    inputs = [path for path in (belief, given.plant) if path]
+    inputs = [Path(path) for path in (belief, given.plant) if path and Path(path).is_file()]
     about = {
         "system": opened.system.name, "task": opened.task, "target": target, "seed": given.seed,
         "out": str(folder),

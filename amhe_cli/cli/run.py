@@ -11,7 +11,6 @@ import click
 
 from amhe_cli.cli import at_the_robot, options
 from amhe_cli.cli.command import Given, command, option
-from amhe_cli.cli.kinds import FILE
 from amhe_cli.cli.session import Session, stopping
 from amhe_cli.cli.watching import watched, watching_run
 
@@ -44,9 +43,14 @@ _TASKS = (
         show_default=True,
     ),
     options.believed("A belief.yaml in place of the task's own for modes baseline, stale and adaptive."),
+    options.robot,
     options.work,
     options.duration,
-    option("--plant", "MJCF of another Go1 to simulate; the planner keeps its own.", FILE, metavar="XML"),
+    option(
+        "--plant",
+        "Another Go1 to simulate, of the family (docs/tasks.md) or by its MJCF; the planner keeps its own.",
+        metavar="NAME|XML",
+    ),
     watched,
     options.method,
     options.tuning,
@@ -96,7 +100,8 @@ def run(session: Session, given: Given) -> None:
             **run_record(opened.judge.measures(), history, ending),
             duration=given.seconds, cut_short=given.seconds < options.LONGEST, out=str(folder), **link,
         )  # fmt: skip
-        origin = run_provenance(session.command_line, seed, opened.system, [p for p in (belief, plant) if p])
+        files = [Path(p) for p in (belief, plant) if p and Path(p).is_file()]
+        origin = run_provenance(session.command_line, seed, opened.system, files)
         error = ending.error
         try:
             write_run(scratch, _facts(opened, link), history.columns(), record, origin)

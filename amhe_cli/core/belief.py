@@ -186,6 +186,12 @@ def belief_of(
     )
 
 
+def held_by(belief: Belief) -> dict[str, dict[str, float]]:
+    """Settings of a system whose parameters are held at a belief's values, and how well these are known."""
+    numbers = zip(belief.names, belief.estimate.tolist(), belief.sd.tolist(), strict=True)
+    return {name: {"held": value, "held_sd": sd} for name, value, sd in numbers}
+
+
 def completed(belief: Belief, system: Described) -> Belief:
     """A belief over all parameters of a system: what it does not know has its prior."""
     systematic = None if belief.systematic is None else system.space.systematic_of(belief)

@@ -86,10 +86,18 @@ class SimTarget:
         period: Control period [s].
         stand: Joint targets before the first plan [rad], shape (n,).
         realtime: Keep pace with the wall clock: while a plan takes too long, simulated time goes on.
+        lead: Time that a command takes to act [s]: plans are played so much earlier.
     """
 
-    def __init__(self, plant: Simulation, period: float, stand: FloatArray, realtime: bool = False) -> None:
-        self._plant, self._period, self._realtime = plant, period, realtime
+    def __init__(
+        self,
+        plant: Simulation,
+        period: float,
+        stand: FloatArray,
+        realtime: bool = False,
+        lead: float = 0.0,
+    ) -> None:
+        self._plant, self._period, self._realtime, self._lead = plant, period, realtime, lead
         self._plan = self._next = Plan(0.0, period, np.asarray(stand)[None])
         self._begun: float | None = None
         self.misses = 0
@@ -125,13 +133,19 @@ class SimTarget:
         """
         parts, times = [], []
         for _ in range(self._periods_gone()):
-            parts.append(self._plant.advance(self._plan.at(self._plant.time), self._period))
+            parts.append(self._plant.advance(self._sent(self._plant.time), self._period))
             times.append(self._plant.time)
-        missed = [self._plan.at(time) for time in times[:-1]]  # those periods begin without a new plan
+        missed = [self._sent(time) for time in times[:-1]]  # those periods begin without a new plan
         self._plan = self._next
         now = times[-1]
-        commands = np.array(times), np.array([*missed, self._plan.at(now)])
+        commands = np.array(times), np.array([*missed, self._sent(now)])
         return now, {**merged(parts), "command.position": commands}
+
+    def _sent(self, time: float) -> FloatArray:
+        """Joint targets (n,) sent at a time [s]: between two rows where the lead is no whole period."""
+        share = self._lead / self._period % 1.0
+        earlier = self._plan.at(time + self._lead - share * self._period)
+        return earlier + share * (self._plan.at(time + self._lead + (1.0 - share) * self._period) - earlier)
 
     def _periods_gone(self) -> int:
         """Periods to play now: one, or as many as the wall clock says; sleeps to the end of them."""

@@ -13,7 +13,7 @@ from amhe_cli.robots.go1.run import MODES
 from amhe_cli.robots.go1.tasks import LONGEST, find_task
 from amhe_cli.study.cells import Cell
 from amhe_cli.study.code import code
-from amhe_cli.study.settings import ablated, defaults_at, setting_from, system_with
+from amhe_cli.study.settings import ablated, defaults_at, setting_from, system_with, with_plant
 from amhe_cli.study.store import Study
 
 #: The mode of an ablation for which no mode is named: the only one in which every setting acts.
@@ -30,6 +30,7 @@ class EvalOptions:
         tasks, modes: Names of tasks and modes; no `modes`: all, or the adaptive mode where there are
             ablations.
         seeds: Number of seeds, from 0 on.
+        plants: Plants to run on, by name or file; none: our own.
         ablations: Settings to try, each a text such as 'samples=8,16'.
         beliefs: Task -> belief file that replaces the baseline's parameters.
         duration: Time limit of each run [s].
@@ -39,6 +40,7 @@ class EvalOptions:
     tasks: Sequence[str]
     modes: Sequence[str] = ()
     seeds: int = 15
+    plants: Sequence[str] = ()
     ablations: Sequence[str] = ()
     beliefs: Mapping[str, Path] = field(default_factory=dict)
     duration: float = LONGEST
@@ -58,6 +60,7 @@ def planned(options: EvalOptions, study: Study) -> list[Cell]:
             raise ConfigError(one_of("mode", mode, MODES))
     tasks = {name: find_task(name) for name in options.tasks}
     settings = [study.setting, *ablated(options.ablations, study.setting, study.defaults)]
+    settings = [with_plant(setting, plant) for plant in options.plants or ["ours"] for setting in settings]
     beliefs = _belief_texts(options.beliefs)
     cells = [
         Cell(task, mode, seed, setting, None if mode in _OWN_BELIEF else beliefs.get(task), options.duration)

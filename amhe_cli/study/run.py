@@ -64,11 +64,13 @@ def _check_code(wanted: Mapping[str, str]) -> None:
 
 def _run(cell: Cell) -> tuple[dict[str, Any], dict[str, Any]]:
     """Outcome and trace of a cell."""
+    settings = dict(cell.setting)
+    plant = settings.pop("plant", None)
     with _belief_file(cell.belief) as belief:
         run = open_run(
             RunOptions(
                 cell.task, cell.mode, belief=belief, seed=cell.seed, duration=cell.duration,
-                settings=nested(dict(cell.setting)), belief_anyway=True,
+                plant=plant, settings=nested(settings), belief_anyway=True,
             )
         )  # fmt: skip
     history, costs, sds = History(run.task), [], []

@@ -9,6 +9,7 @@ from typing import Any
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.yaml_file import nested, scalar
 from amhe_cli.robots.go1.model import SYSTEM
+from amhe_cli.robots.go1.plants import find_plant
 from amhe_cli.robots.go1.settings import PushSettings
 from amhe_cli.study.cells import Setting, setting_of
 from amhe_cli.system.system import System
@@ -38,7 +39,8 @@ def defaults_at(setting: Setting) -> dict[str, Any]:
     mhe = system_with(nested(dict(setting))).settings.mhe
     counts = {"mhe.samples": mhe.sample_count, "mhe.iterations": mhe.iteration_count}
     given = dict(setting)
-    return _defaults() | {path: count for path, count in counts.items() if path not in given}
+    default = _defaults() | {"plant": "ours"}
+    return default | {path: count for path, count in counts.items() if path not in given}
 
 
 def ablated(ablations: Sequence[str], base: Setting, defaults: Mapping[str, Any]) -> Iterator[Setting]:
@@ -63,6 +65,16 @@ def ablated(ablations: Sequence[str], base: Setting, defaults: Mapping[str, Any]
             setting = setting_from(nested(dict(base) | {path: value}))
             is_base = path not in dict(base) and dict(setting).get(path) == defaults.get(path)
             yield base if is_base else setting
+
+
+def with_plant(setting: Setting, plant: str) -> Setting:
+    """A setting of runs on a plant, of which our own is the default.
+
+    Raises:
+        ConfigError: There is no such plant.
+    """
+    find_plant(plant)
+    return setting if plant == "ours" else setting_of({**dict(setting), "plant": plant})
 
 
 def system_with(given: Mapping[str, Any]) -> System:

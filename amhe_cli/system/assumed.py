@@ -23,9 +23,9 @@ from amhe_cli.system.model.elements import matching_rows
 from amhe_cli.system.model.files import compiled
 from amhe_cli.system.parameters.calibration import SignalCalibration
 from amhe_cli.system.parameters.cells import Cells, range_cells
-from amhe_cli.system.parameters.edits import Mode
+from amhe_cli.system.parameters.edits import Mode, ScalarEdit
 from amhe_cli.system.parameters.gear_friction import number_cells
-from amhe_cli.system.parameters.model_edits import ModelEdits
+from amhe_cli.system.parameters.model_edits import Held, ModelEdits
 from amhe_cli.system.system import System
 
 #: Elements of one assumed value that its name lists.
@@ -202,8 +202,11 @@ def assumed_of(
         largest: Key of a channel -> largest value that the logs have of it.
     """
     model, edits, settings = system.model, system.edits, system.settings.identify.assumed
-    taken = {(cells.field, cells.row) for cells in edits.cells}
-    found: list[Assumed] = []
+    taken = edits.taken
+    found = [
+        Assumed("held", f"{p.name}, measured before", f"{held.value:.3g}", *_change(p, held, edit))
+        for p, held, edit in edits.considered()
+    ]
     for setting, kind, members in (*_drives(model, acts), *_joints(model, acts)):
         free = [member for member in members if not _set(member.cells, taken)]
         found += _grouped(model, setting, kind, getattr(settings, setting), free)
@@ -219,6 +222,16 @@ def assumed_of(
         what = "commands that act at once"
         found.append(Assumed("command_delay", what, "", edits.prompt, "add", late, 1000.0 * late, "ms"))
     return found
+
+
+def _change(
+    parameter: Parameter, held: Held, edit: ScalarEdit
+) -> tuple[tuple[Cells, ...], Mode, float, float, str]:
+    """The numbers of a held parameter, and how far off they may be: a share of them, or so much."""
+    if edit.mode == "scale" or (edit.mode == "value" and held.value):
+        share = held.sd / abs(held.value)
+        return edit.written, "scale", share, 100.0 * share, "%"
+    return edit.written, "add", held.sd, held.sd, parameter.unit
 
 
 def _set(cells: Sequence[Cells], taken: Collection[tuple[str, int]]) -> bool:

@@ -199,7 +199,7 @@ class System(SystemData, Displayed):
 
     def _check_value(self, name: str, value: object) -> None:
         free = {p.name: p for p in self.space.parameters}
-        if name not in free and name not in self.fixed:
+        if name not in free and name not in self.sets:
             raise ConfigError(f"`fix`: {one_of('parameter', name, self.sets)}")
         p = free.get(name)
         if not isinstance(value, float | int) or (p is not None and not p.lower <= value <= p.upper):

@@ -61,7 +61,7 @@ class ProbeOptions:
         task: Task with the box and floor to probe, for `go1_push`; None: t1.
         seconds: Greatest length of the probe [s].
         belief: A belief, or its file, that replaces the system's prior.
-        plant: Model that is probed in simulation instead of the system's own.
+        plant: Model that is probed in simulation instead of the system's own, or name of another Go1.
         box: Mass [kg] and friction of the box that is probed in simulation; None: the task's.
         seed: Seed of all random draws.
         threads: Threads of the rollouts; the outcome does not depend on them.
@@ -79,7 +79,7 @@ class ProbeOptions:
     task: str | None = None
     seconds: float = 10.0
     belief: Belief | Path | None = None
-    plant: Path | None = None
+    plant: str | Path | None = None
     box: tuple[float, float] | None = None
     seed: int = 0
     threads: int = 1
@@ -188,7 +188,9 @@ class ActuatorProbe:
             self._leeway = leeway_of(own, self._controls, options.speed or usual.speed)
             bounds = Bounds(own, tuple(self._controls.actuators.tolist()), self._leeway.fastest)
             self._model = replace(self._model, period=1.0 / (options.rate or usual.rate), bounds=bounds)
-        self._plant = self._model if options.plant is None else _other_plant(options, own, options.plant)
+        self._plant = (
+            self._model if options.plant is None else _other_plant(options, own, Path(options.plant))
+        )
         self._truth = truth
 
     def design(self, say: Say) -> ProbePlan:

@@ -43,6 +43,7 @@ class Box:
         floor_friction: Friction coefficient against the floor.
         position: Initial position of its centre [m]; by default it stands on the floor.
         yaw: Initial yaw [rad].
+        centre: Where its centre of mass is, beside its middle [m].
     """
 
     size: tuple[float, float, float] = (0.3, 0.5, 0.3)
@@ -50,6 +51,7 @@ class Box:
     floor_friction: float = 0.4
     position: tuple[float, float] = (0.6, 0.0)
     yaw: float = 0.0
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,6 +152,7 @@ def _set_box(spec: mujoco.MjSpec, box: Box) -> None:
     body = spec.body("box")
     body.mass = box.mass
     resize(spec.geom("box"), box.size)  # and its inertia
+    body.ipos = box.centre
     body.pos = [*box.position, 0.5 * box.size[2]]
     body.quat = [np.cos(0.5 * box.yaw), 0.0, 0.0, np.sin(0.5 * box.yaw)]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 
 import mujoco
@@ -13,6 +14,7 @@ from amhe_cli.core.errors import SimulationError
 from amhe_cli.core.samples import Samples
 from amhe_cli.engine.contacts import contact_forces
 from amhe_cli.robots.go1.model import FLOOR_PAIR, Change, home, layout
+from amhe_cli.robots.go1.plants import PLANTS, PlantShape
 from amhe_cli.robots.go1.state import GRAVITY, SensorNoise, State, state_of
 
 #: Specific force that an accelerometer measures at rest [m/s^2].
@@ -31,6 +33,7 @@ class Plant:
         rng: Random generator of the sensors' noise.
         noise: Noise of the sensors.
         start: Initial qpos, shape (nq,); None: `home`.
+        shape: What of another plant is no number of the model: latency, zeros, friction under load.
     """
 
     def __init__(
@@ -40,12 +43,16 @@ class Plant:
         rng: np.random.Generator,
         noise: SensorNoise = _NOISE,
         start: FloatArray | None = None,
+        shape: PlantShape = PLANTS["ours"],
     ) -> None:
         self.model, self._data, self._at = model, mujoco.MjData(model), layout(model)
         self._pending, self._rng, self._noise = list(changes), rng, noise
         self._pose_every = max(1, round(noise.pose_period / model.opt.timestep))
         self._uniform_inertia = self._inertia_per_mass()
         self._data.qpos[:] = home(model) if start is None else start
+        self._shape, self._friction = shape, np.array(model.dof_frictionloss[self._at.joints_v])
+        self._waiting: deque[tuple[float, FloatArray]] = deque()
+        self._data.ctrl[self._at.servos] = self._data.qpos[self._at.joints]
         mujoco.mj_forward(model, self._data)
         self._steps = 0
 
@@ -90,7 +97,7 @@ class Plant:
             SimulationError: The simulation diverged.
         """
         robot, poses = [], []
-        self._data.ctrl[self._at.servos] = targets
+        self._waiting.append((self.time + self._shape.latency, targets - self._shape.zeros))
         for _ in range(round(duration / self.model.opt.timestep)):
             velocity = np.array(self._data.qvel[self._at.trunk_v][:3])
             self._step()
@@ -100,6 +107,11 @@ class Plant:
         return {**_samples(_OWN, robot), **_samples(_SEEN, poses)}
 
     def _step(self) -> None:
+        while self._waiting and self._waiting[0][0] <= self.time + 1e-9:
+            self._data.ctrl[self._at.servos] = self._waiting.popleft()[1]
+        if self._shape.load_friction:
+            load = np.abs(self._data.actuator_force[self._at.servos])
+            self.model.dof_frictionloss[self._at.joints_v] = self._friction + self._shape.load_friction * load
         mujoco.mj_step(self.model, self._data)
         self._steps += 1
         # MuJoCo resets a diverged simulation and goes on: only the warning shows it.
@@ -121,7 +133,7 @@ class Plant:
         force = rotations.rotate(rotations.conjugate(quaternion), acceleration + _UPHELD)
         return (
             self.time,
-            data.qpos[at.joints] + self._draw(self._noise.joint, 12),
+            data.qpos[at.joints] + self._shape.zeros + self._draw(self._noise.joint, 12),
             data.qvel[at.joints_v] + self._draw(self._noise.joint_rate, 12),
             data.qvel[at.trunk_v][3:] + self._draw(self._noise.gyro, 3),
             force + self._draw(self._noise.accelerometer, 3),

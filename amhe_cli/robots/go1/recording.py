@@ -11,6 +11,7 @@ from amhe_cli import __version__
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.rotations import exp
 from amhe_cli.core.signals import Signal
+from amhe_cli.core.yaml_file import merged
 from amhe_cli.live.episode import Cycle
 from amhe_cli.live.recorder import NEVER, SELDOM, Recorder, Throttle, stamp_ns
 from amhe_cli.logs import LogWriter
@@ -44,8 +45,9 @@ def recorder_of(run: Run, path: Path) -> Recorder:
         "target": options.target,
         "version": __version__,
     }
-    if measured(run.task):  # so that the reader of the log has the same model
-        metadata["overrides"] = json.dumps(measured(run.task))
+    known = {key: value for key, value in run.options.settings.items() if key == "parameters"}
+    if stated := merged(measured(run.task), known):  # so that the reader of the log has the same model
+        metadata["overrides"] = json.dumps(stated)
     if run.first_truth and not run.task.changes:  # values that change are in /amhe/truth
         metadata["truth"] = json.dumps(run.first_truth)
     signals = (*run.system.signals, _IMU)

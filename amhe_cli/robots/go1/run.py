@@ -26,8 +26,10 @@ from amhe_cli.live.episode import BeliefSource, Episode
 from amhe_cli.live.target import SimTarget, Target
 from amhe_cli.robots.go1.judge import Judge
 from amhe_cli.robots.go1.kinematics import HOME
-from amhe_cli.robots.go1.model import SYSTEM, Box, home, layout, planner_model, plant_model
+from amhe_cli.robots.go1.known import gait_of, latency_of, without_dry_friction
+from amhe_cli.robots.go1.model import SYSTEM, Box, home, layout, planner_model
 from amhe_cli.robots.go1.plant import Plant
+from amhe_cli.robots.go1.plants import find_plant, shaped_plant
 from amhe_cli.robots.go1.sampling import Sampler
 from amhe_cli.robots.go1.settings import PushSettings, settings_of
 from amhe_cli.robots.go1.state import Go1
@@ -56,7 +58,7 @@ class RunOptions:
         seed: Seed of start poses, sensor noise and sampling.
         threads: Threads of the rollouts; the outcome does not depend on them.
         duration: Longest duration of the episode [s].
-        plant: MJCF of another Go1.
+        plant: Another Go1: a name of `plants.PLANTS`, or its MJCF.
         settings: Settings that replace the system's own, as a nested mapping.
         belief_anyway: Take a belief about another model too, and only warn of what has changed.
         engine: What computes the rollouts: one of `engine.open.KINDS`.
@@ -69,7 +71,7 @@ class RunOptions:
     seed: int = 0
     threads: int = 1
     duration: float = LONGEST
-    plant: Path | None = None
+    plant: str | Path | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
     belief_anyway: bool = False
     engine: str = "cpu"
@@ -124,9 +126,11 @@ def open_run(options: RunOptions, task: Task | None = None) -> Run:
     task, system = task_and_system(options, task)
     settings = settings_of(system).control
     start, sensors, samples = (generator(options.seed, use) for use in ("start", "sensors", "samples"))
-    model = plant_model(_moved(task, start), robot=options.plant)
-    plant = Plant(model, task.changes, sensors, start=_start(home(model), layout(model).trunk, start))
-    target = SimTarget(plant, settings.period, HOME, settings.realtime)
+    shape, robot = find_plant(options.plant)
+    model = shaped_plant(_moved(task, start), shape, robot)
+    first = _start(home(model), layout(model).trunk, start)
+    plant = Plant(model, task.changes, sensors, start=first, shape=shape)
+    target = SimTarget(plant, settings.period, HOME, settings.realtime, latency_of(system))
     return run_on(options, task, system, target, plant, samples, options.threads)
 
 
@@ -141,7 +145,7 @@ def run_on(
     slow: float = 1.0,
 ) -> Run:
     """A run of a task on a target; arguments as of `Run`, `controller_for` and `belief_source`."""
-    behaviour = task.behaviour()
+    behaviour = task.behaviour(gait_of(system))
     controller = controller_for(task, behaviour, system, samples, threads, options.engine)
     judge = Judge(task, behaviour.running_cost, settings_of(system).control.period, options.duration)
     belief = belief_source(options, task, system, plant, slow)
@@ -189,7 +193,8 @@ def controller_for(
     """The controller of a task, with the planner's model of its box."""
     settings = settings_of(system).control
     planner = planner_model(task.box, timestep=settings.period / settings.substeps)
-    engine = open_engine(system, threads=threads, kind=kind, model=planner, sensors=False)
+    fast = without_dry_friction(system)
+    engine = open_engine(fast, threads=threads, kind=kind, model=planner, sensors=False)
     robot = Go1(layout(planner), settings.joint_sigma)
     # its simulations are made now: the first plan at a robot would take twice the time of the others
     n, inputs = settings.samples, np.zeros((settings.samples, 1, planner.nu))

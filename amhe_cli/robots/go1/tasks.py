@@ -12,6 +12,7 @@ import numpy as np
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.floor import Floor
 from amhe_cli.robots.go1.behaviours.course import Course
+from amhe_cli.robots.go1.behaviours.gait import Gait, standing
 from amhe_cli.robots.go1.behaviours.steering import Helm
 from amhe_cli.robots.go1.behaviours.sweeping import Sweeping
 from amhe_cli.robots.go1.behaviours.tripod import Tripod
@@ -24,6 +25,7 @@ SPEED, TAPER = 0.2, 0.2
 LONGEST = 40.0
 
 _AHEAD = (0.6, 0.0)
+_GAIT = Gait()
 #: Start of a box beside the front right foot, so near that the leg reaches it: its face is 4 cm from that
 #: foot.
 _BESIDE = (0.1, -0.34)
@@ -65,12 +67,12 @@ class Task:
     one_leg: bool = False
     corridor: float = np.inf
 
-    def behaviour(self) -> Walking | Sweeping:
+    def behaviour(self, gait: Gait = _GAIT) -> Walking | Sweeping:
         """A new behaviour that performs the task; each episode needs its own."""
         depth, width, _ = self.box.size
         if self.one_leg:
-            return Sweeping(self.path, half_width=0.5 * width)
-        return Walking(Helm(self.path, SPEED, TAPER, half_length=0.5 * depth, half_width=0.5 * width))
+            return Sweeping(self.path, 0.5 * width, gait=standing(gait))
+        return Walking(Helm(self.path, SPEED, TAPER, half_length=0.5 * depth, half_width=0.5 * width), gait)
 
     def commanded_speed(self, progress: float) -> float:
         """Commanded speed of the robot [m/s] when the box has come so far along its path [m]."""

@@ -29,7 +29,7 @@ from amhe_cli.system.model.urdf import UrdfOptions, is_urdf
 logger = logging.getLogger(__name__)
 
 #: Keys of `system.yaml` that overrides name directly; every other override is a setting.
-_OWN_KEYS = ("parameters", "signals", "keyframe", "model", "boxes", "match")
+_OWN_KEYS = ("parameters", "signals", "keyframe", "model", "boxes", "match", "unknowns")
 
 
 def load(

@@ -9,7 +9,7 @@ from fnmatch import fnmatchcase
 import mujoco
 import numpy as np
 
-from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.core.yaml_file import Place
 from amhe_cli.system.description.calibration_keys import CalibrationDraft
@@ -21,7 +21,7 @@ from amhe_cli.system.parameters.delays import CommandDelays
 from amhe_cli.system.parameters.edits import Edit, PseudoInertiaEdit, ScalarEdit
 from amhe_cli.system.parameters.gear_friction import BOTH, GEARS, OWN
 from amhe_cli.system.parameters.inertia import PSEUDO_NAMES
-from amhe_cli.system.parameters.model_edits import ModelEdits
+from amhe_cli.system.parameters.model_edits import Held, ModelEdits
 from amhe_cli.system.parameters.servos import OF_SERVO, SERVOS, SIGNALS
 
 #: Prior sd of log(theta) where none is given: a factor of 1.65 either way at one sd.
@@ -98,8 +98,30 @@ def unknowns_of(
     if fixed and len(fixed) == len(space):
         file.problem(("parameters",), "every parameter has the prior_sd 0, which fixes it: leave one free")
     late = delays.with_edits(unknowns.late)
-    written = ModelEdits(model, space, [*edits, *needed], late, fixed, calibration)
+    held = _held(file, entry)
+    written = ModelEdits(model, space, [*edits, *needed], late, fixed, calibration, held)
     return written.space, written, calibration
+
+
+def _held(file: Description, entry: SystemEntry) -> dict[str, Held]:
+    """Parameters that nobody asks for, by name: `unknowns` names neither them nor their group."""
+    asked = entry.unknowns
+    if asked is None:
+        return {}
+    known = {name for name in (*entry.parameters, *(p.group for p in entry.parameters.values())) if name}
+    for index, name in enumerate(asked):
+        if name not in known:
+            file.problem(("unknowns", index), one_of("parameter or group of them", name, sorted(known)))
+    held = {}
+    for name, parameter in entry.parameters.items():
+        value = parameter.nominal if parameter.held is None else parameter.held
+        if name in asked or parameter.group in asked:
+            continue
+        if value is None:
+            file.problem(("parameters", name), "who can be held needs a value: give it a nominal")
+        else:
+            held[name] = Held(value, parameter.held_sd)
+    return held
 
 
 def _add_plain(

@@ -61,6 +61,9 @@ class ParameterEntry(_Entry):
     scale: Literal["log", "linear"] | None = None
     prior_sd: NotNegative | None = None
     drift: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)] | None = None
+    group: Name | None = None
+    held: Number | None = None
+    held_sd: NotNegative = 0.0
 
 
 class SignalEntry(_Entry):
@@ -158,6 +161,7 @@ class SystemEntry(_Entry):
     )
     parameters: Annotated[dict[Name, ParameterEntry], Field(min_length=1)]
     signals: Annotated[dict[Name, SignalEntry], Field(min_length=1)]
+    unknowns: Annotated[list[Name], Field(min_length=1)] | None = None
     match: Literal["motion", "effort", "both"] = "motion"
     robot: Literal["go1"] | None = None  # the rooms of robots/ that have settings of their own
     settings: Settings = Settings()

@@ -11,7 +11,6 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError, one_of
-from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.system.parameters.cells import Cells
 from amhe_cli.system.parameters.edits import ScalarEdit
 
@@ -47,11 +46,6 @@ class CommandDelays:
         for edit in self.edits:
             edit.write({"command_delay": delays}, theta)
         return delays
-
-    def longest(self, space: ParameterSpace) -> float:
-        """The longest delay [s] within the parameters' bounds."""
-        upper = np.array([[parameter.upper for parameter in space.parameters]])
-        return float(self.numbers(upper).max()) if self.edits else 0.0
 
     def with_edits(self, edits: Sequence[ScalarEdit]) -> CommandDelays:
         """The same commands with further edits."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -34,6 +35,13 @@ def inputs_of_set_const() -> frozenset[str]:
     return frozenset(fields)
 
 
+class Held(NamedTuple):
+    """Value of a parameter that nobody asked for, and how well it is known (sd); 0: nobody measured it."""
+
+    value: float
+    sd: float = 0.0
+
+
 class ModelEdits:
     """Writes parameter vectors into a model's arrays.
 
@@ -48,6 +56,7 @@ class ModelEdits:
         delays: Delays of commands, which parameters set too.
         fixed: Parameters that have one value in all candidates, by name: theta has the others only.
         calibration: Numbers of the signals' calibration, which parameters set too.
+        held: Parameters that nobody asked for, by name, likewise.
     """
 
     def __init__(
@@ -58,12 +67,13 @@ class ModelEdits:
         delays: CommandDelays | None = None,
         fixed: Mapping[str, float] | None = None,
         calibration: SignalCalibration | None = None,
+        held: Mapping[str, Held] | None = None,
     ) -> None:
         self._model, self._calibration = model, calibration
-        self.fixed = dict(fixed or {})
-        self.space = space.without(self.fixed)
+        self.fixed, self.held = dict(fixed or {}), dict(held or {})
+        self.space = space.without(self._known)
         self._all, self._delays = space, delays or CommandDelays()
-        self._free = [i for i, name in enumerate(space.names) if name not in self.fixed]
+        self._free = [i for i, name in enumerate(space.names) if name not in self._known]
         self._edits = tuple(edits)
         self.cells = tuple(cells for edit in self._edits for cells in edit.cells)
         self.fields: tuple[str, ...] = tuple(dict.fromkeys(cells.field for cells in self.cells))
@@ -74,15 +84,38 @@ class ModelEdits:
 
     def upon(self, model: mujoco.MjModel) -> ModelEdits:
         """The same edits upon another model of the same layout: another box in the same scene."""
-        return ModelEdits(model, self._all, self._edits, self._delays, self.fixed, self._calibration)
+        return ModelEdits(
+            model, self._all, self._edits, self._delays, self.fixed, self._calibration, self.held
+        )
 
     def fixing(self, values: Mapping[str, float]) -> ModelEdits:
         """The same edits with more parameters at fixed values, by name."""
         other = copy.copy(self)
         other.fixed = self.fixed | dict(values)
-        other.space = self._all.without(other.fixed)
-        other._free = [i for i, name in enumerate(self._all.names) if name not in other.fixed]
+        other.held = {name: held for name, held in self.held.items() if name not in values}
+        other.space = self._all.without(other._known)
+        other._free = [i for i, name in enumerate(self._all.names) if name not in other._known]
         return other
+
+    @property
+    def _known(self) -> dict[str, float]:
+        """Values of the parameters that are not free."""
+        return {name: held.value for name, held in self.held.items()} | self.fixed
+
+    @property
+    def taken(self) -> set[tuple[str, int]]:
+        """Field and row of the numbers that parameters set, held ones only where somebody measured them."""
+        guessed = {name for name, held in self.held.items() if not held.sd}
+        edits = [e for e in self._edits if self._all.names[e.columns[0]] not in guessed]
+        return {(cells.field, cells.row) for edit in edits for cells in edit.cells}
+
+    def considered(self) -> Iterator[tuple[Parameter, Held, ScalarEdit]]:
+        """Held parameters that somebody measured, with their values and each of their edits."""
+        for edit in (*self._edits, *self._delays.edits):
+            parameter = self._all.parameters[edit.columns[0]]
+            held = self.held.get(parameter.name)
+            if held is not None and held.sd and isinstance(edit, ScalarEdit):
+                yield parameter, held, edit
 
     def own(self, model: mujoco.MjModel) -> mujoco.MjModel:
         """Copy of a model that these edits have written to, with the base model's own numbers again."""
@@ -128,7 +161,9 @@ class ModelEdits:
         late = [edit for edit in scalar if edit.target == "command_delay"]
         edits = (*self._edits, *(edit for edit in scalar if edit not in (*of_signals, *late)))
         calibration = replace(calibration, edits=(*calibration.edits, *of_signals))
-        return ModelEdits(model, space, edits, self._delays.with_edits(late), self.fixed, calibration)
+        return ModelEdits(
+            model, space, edits, self._delays.with_edits(late), self.fixed, calibration, self.held
+        )
 
     def by_parameter(self) -> list[tuple[Parameter, tuple[Cells, ...]]]:
         """Each parameter that sets plain numbers, with all of them."""
@@ -140,9 +175,10 @@ class ModelEdits:
 
     def _whole(self, theta: FloatArray) -> FloatArray:
         """Columns of all parameters (n, D) from those that are free (n, d)."""
-        if not self.fixed:
+        known = self._known
+        if not known:
             return theta
-        whole = np.tile([self.fixed.get(name, np.nan) for name in self._all.names], (len(theta), 1))
+        whole = np.tile([known.get(name, np.nan) for name in self._all.names], (len(theta), 1))
         whole[:, self._free] = theta
         return whole
 
@@ -220,14 +256,15 @@ class ModelEdits:
     def late(self) -> frozenset[str]:
         """Names of the free parameters that delay commands."""
         names = (self._all.names[edit.column] for edit in self._delays.edits)
-        return frozenset(names) - set(self.fixed)
+        return frozenset(names) - set(self._known)
 
     @property
     def prompt(self) -> tuple[DelayNumber, ...]:
-        """The delays of all commands, where no parameter sets any."""
-        return () if self._delays.edits else self._delays.cells
+        """The delays of all commands, where no parameter delays any."""
+        return () if self.longest_delay > 0.0 else self._delays.cells
 
     @property
     def longest_delay(self) -> float:
         """Upper bound of the command delays [s]; zero without any."""
-        return self._delays.longest(self._all)
+        most = [self._known.get(p.name, p.upper) for p in self._all.parameters]
+        return float(self._delays.numbers(np.array([most])).max()) if self._delays.edits else 0.0

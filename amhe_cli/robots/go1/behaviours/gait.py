@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
+from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.robots.go1.kinematics import (
     FOOT_RADIUS,
@@ -33,7 +33,7 @@ from amhe_cli.robots.go1.state import GRAVITY
 #: Weight of the Go1's 12.743 kg [N].
 WEIGHT = 12.743 * GRAVITY
 #: Its centre of mass when it stands, ahead and left in the trunk's frame [m].
-CENTRE_OF_MASS = sealed([-0.0023, 0.0009])
+CENTRE_OF_MASS = (-0.0023, 0.0009)
 #: Height of the bumper's middle over the floor [m]: what is pushed, pushes back there.
 PUSH_HEIGHT = 0.22
 #: A standing foot always carries a little: without, none would at the instants of switching.
@@ -55,6 +55,8 @@ class Gait:
         damping: Damping of hip, thigh and calf [N m s/rad]: servo and joint added up.
         offsets: Phase of each foot's touch-down, in periods.
         loading: Share of the period in which a foot takes over, or hands on, its load.
+        weight: Weight of the robot [N].
+        centre: Its centre of mass when it stands, ahead and left in the trunk's frame [m].
     """
 
     period: float = 0.5
@@ -65,6 +67,8 @@ class Gait:
     damping: tuple[float, float, float] = (2.0, 3.0, 3.0)
     offsets: tuple[float, float, float, float] = TROT
     loading: float = 0.1
+    weight: float = WEIGHT
+    centre: tuple[float, float] = CENTRE_OF_MASS
 
     def __post_init__(self) -> None:
         if self.period <= 0.0 or not 0.5 <= self.duty <= 1.0 or self.kp <= 0.0:
@@ -141,7 +145,7 @@ def walk(
     steps, velocity = _steps(gait, phase, twist)
     feet = neutral_feet(gait) + steps
     feet[..., 1] += np.asarray(left, dtype=np.float64)
-    forces = ground_forces(feet, _loads(gait, phase), push, PUSH_HEIGHT)
+    forces = ground_forces(gait, feet, _loads(gait, phase), push, PUSH_HEIGHT)
     return leg_targets(gait, feet, velocity, forces, phase < gait.duty)
 
 
@@ -221,12 +225,15 @@ def stance_weights(feet: FloatArray, load: FloatArray, centre: FloatArray) -> Fl
     return shares / shares.sum(axis=-1, keepdims=True)
 
 
-def ground_forces(feet: FloatArray, load: FloatArray, push: FloatArray, height: ArrayLike) -> FloatArray:
+def ground_forces(
+    gait: Gait, feet: FloatArray, load: FloatArray, push: FloatArray, height: ArrayLike
+) -> FloatArray:
     """Forces of the ground on the feet that carry the robot while it pushes.
 
     A push at some height tips the robot away from it: the feet on the far side take more.
 
     Args:
+        gait: Weight and centre of mass.
         feet: Places in the trunk's frame [m], shape (..., 4, 3).
         load: How much each foot may carry, as in `stance_weights`.
         push: Force on the object that is pushed, ahead and left [N], shape (..., 2).
@@ -235,6 +242,6 @@ def ground_forces(feet: FloatArray, load: FloatArray, push: FloatArray, height: 
     Returns:
         Forces [N], shape (..., 4, 3).
     """
-    shares = stance_weights(feet, load, CENTRE_OF_MASS - push * (np.asarray(height)[..., None] / WEIGHT))
-    force = np.concatenate((push, np.full((*push.shape[:-1], 1), WEIGHT)), axis=-1)
+    shares = stance_weights(feet, load, gait.centre - push * (np.asarray(height)[..., None] / gait.weight))
+    force = np.concatenate((push, np.full((*push.shape[:-1], 1), gait.weight)), axis=-1)
     return shares[..., None] * force[..., None, :]

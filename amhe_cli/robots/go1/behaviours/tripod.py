@@ -79,7 +79,7 @@ def stand_on_three(
     load = np.ones((*batch, 4))
     load[..., FREE] = 1.0 - shifted
     height = gait.height + places[..., FREE, 2]
-    forces = _forces(seen, load, np.broadcast_to(push, (*batch, 2)), height)
+    forces = _forces(gait, seen, load, np.broadcast_to(push, (*batch, 2)), height)
     contact = np.ones((*batch, 4), dtype=np.bool_)
     contact[..., FREE] = np.broadcast_to(time < tripod.shift_time, batch)
     return leg_targets(gait, feet, np.zeros_like(feet), forces, contact)
@@ -98,9 +98,11 @@ def support_margin(planted: FloatArray, trunk: FloatArray) -> float:
     return float(along[0] * place[1] - along[1] * place[0])
 
 
-def _forces(feet: FloatArray, load: FloatArray, push: FloatArray, height: FloatArray) -> FloatArray:
+def _forces(
+    gait: Gait, feet: FloatArray, load: FloatArray, push: FloatArray, height: FloatArray
+) -> FloatArray:
     """Three feet carry the robot and push back on the floor; the free one has the push upon it."""
-    forces = ground_forces(feet, load, push, height)
+    forces = ground_forces(gait, feet, load, push, height)
     free = load[..., FREE] == 0.0
     forces[..., FREE, :2] = np.where(free[..., None], -push, forces[..., FREE, :2])
     return forces

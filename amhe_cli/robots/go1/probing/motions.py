@@ -6,14 +6,17 @@ from bisect import bisect_right
 from dataclasses import dataclass, replace
 from itertools import accumulate
 
+import numpy as np
+
 from amhe_cli.core.rotations import yaw_of
 from amhe_cli.robots.go1.behaviours.course import Course
-from amhe_cli.robots.go1.behaviours.objective import Reference
+from amhe_cli.robots.go1.behaviours.gait import Gait
+from amhe_cli.robots.go1.behaviours.objective import PushWeights, Reference
 from amhe_cli.robots.go1.behaviours.steering import Helm
-from amhe_cli.robots.go1.behaviours.walking import Walking
+from amhe_cli.robots.go1.behaviours.walking import WalkGains, Walking
 from amhe_cli.robots.go1.model import Box
 from amhe_cli.robots.go1.state import State
-from amhe_cli.robots.go1.tasks import SPEED, TAPER, Believed, Task
+from amhe_cli.robots.go1.tasks import LONGEST, SPEED, TAPER, Believed, Task
 
 #: The walking push keeps to this speed [m/s], and this far beside the box's middle [m]; the trot still does
 #: it when it is held (docs/probing.md).
@@ -105,6 +108,7 @@ class Score:
 
 #: Place of the box in front of the robot, and length of its path, to whose end no probe comes [m].
 _PLACE, _LENGTH = Box().position, 100.0
+_GAIT = Gait()
 
 
 class ScoreHelm(Helm):
@@ -152,10 +156,50 @@ class ProbeTask(Task):
         """The score of the motion, with the approach."""
         return Score(self.motion)
 
-    def behaviour(self) -> Walking:
+    def behaviour(self, gait: Gait = _GAIT) -> Walking:
         """See `Task.behaviour`."""
         depth, width, _ = self.box.size
-        return Walking(ScoreHelm(self.score, self.path, 0.5 * depth, 0.5 * width))
+        return Walking(ScoreHelm(self.score, self.path, 0.5 * depth, 0.5 * width), gait)
+
+
+#: Free walking, which reveals the robot's own numbers: seconds, speed ahead [m/s], yaw rate [rad/s].
+_STROLL = (
+    (1.5, 0.3, 0.0), (1.2, -0.25, 0.0), (1.0, 0.0, 0.5), (1.0, 0.45, 0.0), (1.5, -0.3, 0.0), (1.0, 0.0, -0.5),
+    (0.8, 0.2, -0.4), (0.8, -0.2, 0.4), (1.2, 0.0, 0.0),
+)  # fmt: skip
+
+
+class Stroll(Helm):
+    """Walks ahead and back and turns, without touching the box, which stands further ahead."""
+
+    def reference(self, state: State) -> Reference:
+        """See `Helm`."""
+        seconds, speeds, turns = np.array(_STROLL).T
+        time, ends = state.time % seconds.sum(), np.cumsum(seconds)
+        yaw = float(turns @ np.clip(time - ends + seconds, 0.0, seconds))
+        phase = int(np.searchsorted(ends, time, side="right"))
+        speed, turn = float(speeds[phase]), float(turns[phase])
+        return Reference(
+            state.time, speed, state.trunk.position[:2], heading=yaw, yaw=yaw, turn=turn, pushing=0.0,
+            box_yaw=float(yaw_of(state.box.orientation)),
+        )  # fmt: skip
+
+
+class WalkTask(ProbeTask):
+    """Free walking; the box stands where the robot does not come."""
+
+    def behaviour(self, gait: Gait = _GAIT) -> Walking:
+        """See `Task.behaviour`."""
+        alone = PushWeights(box_speed=0.0, box_left=0.0, box_yaw=0.0, box_tilt=0.0, robot_left=0.0)
+        helm = Stroll(self.path, SPEED, TAPER, 0.5 * self.box.size[0], 0.5 * self.box.size[1])
+        return Walking(helm, gait, alone, WalkGains(left=0.0))
+
+
+#: The task of `amhe probe --task walk`.
+WALK = WalkTask(
+    "walk", "free walking", Box(position=(1.5, 0.0)), Course((1.5, 0.0), 0.0, _LENGTH), LONGEST,
+    motion=Motion("stroll", "walk ahead and back, turn, and step in place", (Segment(10.0, 0.2),)),
+)  # fmt: skip
 
 
 def probe_task(task: Task, motion: Motion, seconds: float, box: Believed, believed: Believed) -> ProbeTask:

@@ -13,6 +13,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import AmheError, ConfigError, Ending, SimulationError
+from amhe_cli.core.yaml_file import merged
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.design.design import ProbePlan, accuracy, criterion, ensemble, parts_of
 from amhe_cli.estimation.design.information import clips_of, information_at
@@ -25,6 +26,7 @@ from amhe_cli.robots.go1.probing.motions import (
     APPROACH,
     MOTIONS,
     STEADY,
+    WALK,
     Motion,
     ProbeTask,
     named_motion,
@@ -78,8 +80,10 @@ class PushProbe:
 
     def __init__(self, options: ProbeOptions, robot: Go1OnLink | None = None) -> None:
         self.task = options.task or "t1"
-        self._options, self._task, self._robot = options, find_task(self.task), robot
-        self._own = system_of(RunOptions(self.task, settings=options.settings), self._task)
+        self._walks = self.task == WALK.name
+        self._options, self._task, self._robot = options, WALK if self._walks else find_task(self.task), robot
+        asked = {"unknowns": ["robot"]} if self._walks else {}
+        self._own = system_of(RunOptions(self.task, settings=merged(asked, options.settings)), self._task)
         self.system: System = believing(self._own, options)
         if robot and options.box:
             raise ConfigError("`box`: the box of a real robot is as it is; leave it out")
@@ -95,6 +99,11 @@ class PushProbe:
                 f"`seconds` {options.seconds:g}: too short; the approach and the shortest push take "
                 f"{APPROACH.seconds + _SHORTEST:g} s"
             )
+        if self._walks:  # there is one way to walk
+            say("rehearsing free walking")
+            known = self._information(WALK.motion, 0, np.zeros(len(space))) * options.seconds
+            part = (WALK.motion.name, WALK.motion.title, options.seconds)
+            return ProbePlan(parts_of([part]), accuracy(space, known), None, "")
         draws = ensemble(space, self.system.settings.probe.pairs, options.rng(0))
         found = []
         for number, motion in enumerate(MOTIONS):
@@ -126,7 +135,7 @@ class PushProbe:
         The controller begins with the belief, and an estimator updates it meanwhile: a robot that pushes a
         heavy box as if it were light stalls, and reveals less.
         """
-        motion = named_motion(plan.parts[-1].name)
+        motion = WALK.motion if self._walks else named_motion(plan.parts[-1].name)
         if not self._robot:
             return self.push(motion, plan.seconds, path, stopped, say)
         run = self.on_robot(motion, plan.seconds, self._robot)
@@ -147,6 +156,7 @@ class PushProbe:
     ) -> Ending:
         """Run any motion in simulation, for so long [s] with the approach; `baseline` keeps to the belief."""
         task = self._as_it_is(motion, seconds)
+        mode = "baseline" if self._walks else mode  # no box to learn of
         return self._record(self._open(task, self._options.seed, mode), path, stopped, say)
 
     def on_robot(self, motion: Motion, seconds: float, robot: Go1OnLink) -> Run:
@@ -164,7 +174,7 @@ class PushProbe:
     def _information(self, motion: Motion, number: int, z: FloatArray) -> FloatArray:
         """Information per second of a motion (d, d), if z (d,) were true and believed; zero after a fall."""
         system, options = self.system, self._options
-        named = system.space.named(system.space.theta_of(z)) | system.fixed
+        named = self._named(system.space.theta_of(z))
         box = Believed(named["box_mass"], named["floor_friction"])
         seconds = min(options.seconds, APPROACH.seconds + _REHEARSED)
         seed = int(options.rng(1, number).integers(2**31))
@@ -173,19 +183,29 @@ class PushProbe:
             path = Path(folder) / "rehearsal.mcap"
             ending = self._record(run, path)
             log = read_log(path, system)
-        windows = [w for w in clips_of(system, log) if w.start * log.dt >= APPROACH.seconds]
+        begun = 0.0 if self._walks else APPROACH.seconds
+        windows = [w for w in clips_of(system, log) if w.start * log.dt >= begun]
         if ending.error is not None or not windows:
             return np.zeros((z.size, z.size))
-        truth = system.space.z_of(np.array([run.first_truth[name] for name in system.space.names]))
+        theta = np.array([run.first_truth.get(p.name, p.nominal) for p in system.space.parameters])
+        truth = system.space.z_of(theta)
         engine = open_engine(system, threads=options.threads, kind=options.engine)
         rng = options.rng(2, number)
         information = information_at(system, windows, engine, truth, rng).matrix.sum(axis=0)
         return information / sum(window.duration for window in windows)
 
     def _probe(self, motion: Motion, seconds: float, box: Believed) -> ProbeTask:
-        prior = self._own.space.named(self._own.space.nominal) | self.system.fixed
+        if self._walks:
+            return replace(WALK, nominal_time=seconds)
+        prior = self._named(self._own.space.nominal)
         believed = Believed(prior["box_mass"], prior["floor_friction"])
         return probe_task(self._task, motion, seconds, box, believed)
+
+    def _named(self, theta: FloatArray) -> dict[str, float]:
+        """All parameters by name, those too that are held or fixed."""
+        held = {name: one.value for name, one in self.system.edits.held.items()}
+        own = self.system.space if theta.size == len(self.system.space) else self._own.space
+        return held | own.named(theta) | self.system.fixed
 
     def _as_it_is(self, motion: Motion, seconds: float) -> ProbeTask:
         own = self._options.box or (self._task.box.mass, self._task.box.floor_friction)
