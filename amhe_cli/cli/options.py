@@ -231,8 +231,8 @@ unknowns = setting(
 )
 robot = option(
     "--robot",
-    "Belief of identify --unknowns robot: the robot's own numbers are held at its values, and what they leave "
-    "open widens the intervals of the others.",
+    "Belief of identify --unknowns robot: the robot's own numbers are held at its values; what they leave open "
+    "widens the intervals of the others.",
     FILE,
     setting="parameters",
     callback=_held,

@@ -29,8 +29,8 @@ def _recipe(name: str, about: str) -> Any:
     at_the_robot.REACH,
     at_the_robot.dry_run_option(f"Write plan.json and stop before anything moves; {at_the_robot.CHECKS}"),
     options.task(
-        "Whose box and floor go1_push is probed with, as they are before anything changes; walk: free walking, "
-        "which reveals the robot itself.  [default: t1]",
+        "Whose box and floor go1_push is probed with, as they are before anything changes; walk: free "
+        "walking, which reveals the robot itself.  [default: t1]",
         None,
         ("walk",),
     ),
@@ -40,8 +40,8 @@ def _recipe(name: str, about: str) -> Any:
     options.robot,
     option(
         "--plant",
-        "What is probed in simulation, instead of the system's own model: another Go1, as of amhe run, or the "
-        "MJCF of another model with the same joints and actuators.",
+        "What is probed in simulation, instead of the system's own model: another Go1, as of amhe run, or "
+        "the MJCF of another model with the same joints and actuators.",
         metavar="NAME|XML",
     ),
     option(

@@ -32,6 +32,7 @@ class Plan:
         command: Command of the behaviour with the plan's channels added, shape (c,).
         step: Statistics of the sampling; None for a plan that was not sampled.
         candidates: States qpos that some sampled plans would lead to, for pictures, shape (k, H, nq).
+        expected: The state at the start, as the planner's model predicts it; None: nobody did.
     """
 
     start: float
@@ -41,6 +42,7 @@ class Plan:
     command: FloatArray | None = None
     step: MpopiStep | None = None
     candidates: FloatArray | None = None
+    expected: Any = None
 
     def at(self, time: float) -> FloatArray:
         """Joint targets (n,) in force at a time [s]; the last row is held."""
@@ -118,7 +120,7 @@ class Controller:
             targets = self._targets(move, times, step.mean[None])[0]
         command = move.command + self._sampler.split(step.mean)[1]
         self._pace.planned()
-        return Plan(start.time, period, targets, move.reference, command, step, sampled[-1][1])
+        return Plan(start.time, period, targets, move.reference, command, step, sampled[-1][1], start)
 
     def _predicted(self, state: Any, in_force: FloatArray, theta: FloatArray) -> Any:
         """The state one period later; the same state where the prediction diverges."""

@@ -18,8 +18,12 @@ from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.live.episode import Cycle
 from amhe_cli.robots.go1.judge import Measures
 from amhe_cli.robots.go1.kinematics import feet
-from amhe_cli.robots.go1.state import State, heading_velocity
+from amhe_cli.robots.go1.state import SensorNoise, State, heading_velocity
 from amhe_cli.robots.go1.tasks import Task
+
+#: Cycles of free walking are compared with the model from this time on [s], so many of them, and a robot is
+#: another one than its model beyond this distance, in sd of the joints' noise.
+_FREE, _ENOUGH, _MISS = 0.3, 25, 2.5
 
 
 @dataclass(slots=True, eq=False)
@@ -36,6 +40,7 @@ class History:
     _troubles: dict[str, list[float]] = field(default_factory=dict)
     _rows: list[dict[str, float]] = field(default_factory=list)
     _last: Cycle | None = None
+    _missed: list[FloatArray] = field(default_factory=list)
 
     def add(self, cycle: Cycle) -> dict[str, float]:
         """Take in a cycle; returns its row."""
@@ -45,8 +50,29 @@ class History:
         row |= self._estimated(cycle)
         row |= {f"truth/{name}": value for name, value in (cycle.parameters or {}).items()}
         self._rows.append(row)
+        self._compare(cycle)
         self._last = cycle
         return row
+
+    def _compare(self, cycle: Cycle) -> None:
+        """Say if the joints of a robot that walks freely are not where its model expects them."""
+        expected = self._last.plan.expected if self._last else None
+        at = cycle.plan.reference
+        if self.task.one_leg or expected is None or at is None or at.pushing:
+            return
+        if cycle.time > _FREE and abs(expected.time - cycle.time) < 1e-6:
+            self._missed.append(cycle.estimate.joints - expected.joints)
+        if len(self._missed) == _ENOUGH and self.miss > _MISS:
+            text = f"the joints are {self.miss:.0f} times their noise from where the model expects them"
+            advice = "identify the robot first, with a probe of `task=walk` (docs/tasks.md)"
+            self._troubles.setdefault(f"{text}: {advice}", []).append(cycle.time)
+
+    @property
+    def miss(self) -> float:
+        """Rms distance of the joints from where they were expected, in sd of their noise; NaN: unknown."""
+        return (
+            float(np.sqrt(np.square(self._missed).mean()) / SensorNoise().joint) if self._missed else np.nan
+        )
 
     def _estimated(self, cycle: Cycle) -> dict[str, float]:
         """Interval and time of the newest estimate; {} before the first."""

@@ -32,6 +32,7 @@ class Reference:
         turn: How fast the three headings turn [rad/s].
         offset: Where the bumper's middle pushes, left of the box's middle [m].
         pushing: 1 where the box is to move already, 0 while the robot still comes to it.
+        harder: Share by which it is pushed harder than its believed friction demands.
     """
 
     time: float
@@ -43,6 +44,7 @@ class Reference:
     turn: float = 0.0
     offset: float = 0.0
     pushing: float = 1.0
+    harder: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

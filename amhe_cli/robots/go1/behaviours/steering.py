@@ -7,7 +7,8 @@ slides to a corner; where it has lost the face, it backs off, comes in line agai
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections import deque
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -58,6 +59,42 @@ class Pacing:
         if self._missing * self.share >= 0.0:
             beyond -= float(np.clip(self._missing, -self.free, self.free))
         self.share = float(np.clip(self.share + self.gain * passed * beyond, -self.limit, self.limit))
+
+
+@dataclass(slots=True, eq=False)
+class Insisting:
+    """How much harder to push a box that stands although it should move: less friction was believed.
+
+    Args:
+        gain: Growth of the share [1/s] while the box stands, and its fall once it moves.
+        limit: Greatest share of the push and the speed that is added.
+        least: The box stands if it goes less than this share of its way in `window` [s].
+        share: Present share.
+    """
+
+    gain: float = 0.4
+    limit: float = 0.8
+    least: float = 0.25
+    window: float = 1.0
+    share: float = 0.0
+    _seen: deque[tuple[float, float]] = field(default_factory=deque)
+
+    def update(self, time: float, progress: float, speed: float) -> None:
+        """Take in how far the box has come along its path [m], and how fast it should go [m/s]."""
+        passed = min(time - self._seen[-1][0], _LONGEST) if self._seen else 0.0
+        self._seen.append((time, progress))
+        while self._seen[0][0] < time - self.window:
+            self._seen.popleft()
+        begun, first = self._seen[0]
+        known = time - begun > 0.9 * self.window
+        stands = known and progress - first < self.least * speed * (time - begun)
+        self.share = float(
+            np.clip(self.share + passed * (self.gain if stands else -self.gain), 0.0, self.limit)
+        )
+
+    def rest(self) -> None:
+        """The box is not pushed."""
+        self._seen.clear()
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +170,12 @@ class Helm:
     ) -> None:
         self._path, self._speed, self._taper = path, speed, taper
         self._half_length, self._half_width = half_length, half_width
-        self._steering, self._retreat, self._pacing = steering, retreat, Pacing()
+        self._steering, self._retreat, self._pacing, self._insisting = (
+            steering,
+            retreat,
+            Pacing(),
+            Insisting(),
+        )
         self.retreating = False
 
     def on_path(self, state: State) -> Reference:
@@ -180,7 +222,12 @@ class Helm:
         touching = gap < s.touching
         if touching and path.speed == self._speed:  # not while the commanded speed falls
             self._pacing.update(state.time, 1.0 - float(heading_velocity(state.trunk)[0]) / self._speed)
-        return replace(wanted, pushing=float(touching))
+        if touching and speed > 0.0:
+            self._insisting.update(state.time, float(place.progress), speed)
+        else:
+            self._insisting.rest()
+        more = self._insisting.share
+        return replace(wanted, pushing=float(touching), speed=(1.0 + more) * speed, harder=more)
 
     def _aim(self, commanded: float, progress: float) -> float:
         s = self._steering

@@ -172,5 +172,5 @@ class Walking:
         _, left = bumper_from_box(state.trunk, state.box)
         sideways = np.clip(g.left * (at.offset - left), -g.left_limit, g.left_limit)
         turn = at.turn + g.yaw * wrapped(at.yaw - yaw_of(state.trunk.orientation))
-        push = at.pushing * resistance * np.clip(at.speed / g.full_push, 0.0, 1.0)
+        push = at.pushing * (1.0 + at.harder) * resistance * np.clip(at.speed / g.full_push, 0.0, 1.0)
         return np.array([at.speed, sideways, np.clip(turn, -g.yaw_limit, g.yaw_limit), push])

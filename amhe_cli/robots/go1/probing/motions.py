@@ -133,7 +133,9 @@ class ScoreHelm(Helm):
             return at
         gap, _ = self.gap(state)
         speed = min(phase.speed, FASTEST)
-        at = replace(at, speed=speed, pushing=float(gap < self._steering.touching and speed > 0.0))
+        at = replace(
+            at, speed=speed, harder=0.0, pushing=float(gap < self._steering.touching and speed > 0.0)
+        )
         if phase.offset is None:
             return at
         yaw = float(yaw_of(state.box.orientation))

@@ -14,7 +14,7 @@ from amhe_cli.core import rotations
 from amhe_cli.core.rotations import yaw_of
 from amhe_cli.robots.go1.behaviours.course import Course
 from amhe_cli.robots.go1.behaviours.objective import BUMPER, Reference, wrapped
-from amhe_cli.robots.go1.behaviours.steering import Helm, Retreat, Steering
+from amhe_cli.robots.go1.behaviours.steering import Helm, Insisting, Retreat, Steering
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.model import Box, home, layout, plant_model
 from amhe_cli.robots.go1.state import Body, State
@@ -250,3 +250,18 @@ def assert_same_but_turned(before: Reference, after: Reference, yaw: float) -> N
     for name in ("heading", "yaw", "box_yaw"):
         difference = getattr(after, name) - getattr(before, name) - yaw
         assert float(wrapped(difference)) == pytest.approx(0.0, abs=1e-9), name
+
+
+def test_a_box_that_stands_is_pushed_harder_until_it_moves() -> None:
+    insisting, progress, shares = Insisting(), 1.0, []
+    for cycle in range(400):
+        progress += 0.2 * 0.02 if cycle >= 200 else 0.0  # it gives way after four seconds
+        insisting.update(0.02 * cycle, progress, 0.2)
+        shares.append(insisting.share)
+    assert max(shares[:45]) == 0.0, "for a second nobody knows that it stands"
+    assert shares[199] == pytest.approx(0.8)
+    assert shares[-1] == 0.0
+    still = helm()
+    pushed = [still.reference(replace(along(LINE, 1.0), time=0.02 * cycle)) for cycle in range(150)]
+    assert pushed[-1].harder > 0.3
+    assert pushed[-1].speed > 1.3 * pushed[0].speed
