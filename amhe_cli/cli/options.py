@@ -231,7 +231,7 @@ unknowns = setting(
 )
 robot = option(
     "--robot",
-    "Belief of identify --unknowns robot: the robot's own numbers are held at its values; what they leave open "
+    "Belief of identify --unknowns robot: the robot's numbers are held at its values; what they leave open "
     "widens the intervals of the others.",
     FILE,
     setting="parameters",

@@ -63,7 +63,8 @@ def test_every_mistake_is_reported_with_its_place(written: Write) -> None:
     (folder / "system.yaml").write_text(WRONG)
     assert problems(folder) == [
         "2:11: no keyframe 'hone' (did you mean 'home'?); there is: home",
-        "3:1: no key 'colour'; there is: boxes, keyframe, match, model, parameters, robot, settings, signals",
+        "3:1: no key 'colour'; there is: boxes, keyframe, match, model, parameters, robot, settings, "
+        "signals, unknowns",
         "6:14: nominal is '0.5'; a number (without quotes) would be valid",
         "12:9: no body 'boxx' (did you mean 'box'?); there is: arm, ball, box, hand, marker, table, world",
         "13:9: no target 'sliding_frction' (did you mean 'sliding_friction'?); there is: "
