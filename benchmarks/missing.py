@@ -292,7 +292,7 @@ FAULTS: Mapping[str, tuple[Callable[[Trial], str], tuple[str, ...], Callable[[Ro
             lambda r: "friction" not in r.free),
     "quadratic": (_joint_force(0.2, lambda q, v, t: -v * abs(v)), ("quadratic",), None),
     "load friction": (_load_friction, ("load friction",), None),
-    "armature": (_armature, ("armature",), None),
+    "armature": (_armature, ("armature",), _turns),  # of a cart it is mass, which is free
     "coupling": (_coupling, ("coupling",), lambda r: len(r.joints) > 1),
     "cogging": (_joint_force(0.3, lambda q, v, t: np.sin(12 * q + 0.5)), ("cogging",), _turns),
     "periodic": (_joint_force(0.4, lambda q, v, t: np.sin(2 * np.pi * 1.13 * t)), ("periodic",), None),

@@ -24,6 +24,7 @@ from amhe_cli.estimation.offline.search import SETTLED, SearchState
 from amhe_cli.estimation.offline.watch import Watch
 from amhe_cli.estimation.uncertainty import terms
 from amhe_cli.estimation.uncertainty.assumed import assumed
+from amhe_cli.estimation.uncertainty.by_joint import told
 from amhe_cli.estimation.uncertainty.fit import (
     PROFILED,
     TURNS,
@@ -49,7 +50,6 @@ from amhe_cli.estimation.uncertainty.verdicts import Evidence, verdicts
 from amhe_cli.estimation.validation.fits import fits, profiles
 from amhe_cli.estimation.validation.held_out import judge, validate, with_own_values
 from amhe_cli.estimation.validation.horizon import HORIZONS, STARTS, horizon_errors
-from amhe_cli.matching.efforts import path_of
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
@@ -95,6 +95,7 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
     _report_budget(system, ledger)
     watch.report_skipped()
     watch.enter("predictions for the report")
+    effort = system.match == "effort"
     return Identification(
         system=system.name,
         method="cmaes" if isinstance(finding, CmaState) else "linearised",
@@ -124,24 +125,8 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
         logs=tuple(dict.fromkeys(part.log.source for part in problem.pool.parts)),
         runs=estimates(system.space, fit, each_log(problem, fit)),
         missing=missing,
-        determined=_determined(problem, fit) if system.match == "effort" else "",
+        determined=told(problem, fit, finding.z, ledger.covariance, held_out) if effort else (),
         information=fit.posterior.hessian - fit.posterior.prior,
-    )
-
-
-def _determined(problem: Problem, fit: FinalFit) -> str:
-    """How many numbers the motion determines, and how well it tells them apart, in words.
-
-    Where efforts are linear in the unknowns, those numbers are the base parameters (Gautier and Khalil 1990).
-    """
-    known = np.linalg.eigvalsh(fit.posterior.hessian - fit.posterior.prior)
-    better = known[known > 1.0]
-    path = path_of(problem.system, problem.clips[0].log)
-    band, rate = float(path.motion.band.max()), 1.0 / (path.every * problem.system.dt)
-    return (
-        f"this motion determines {better.size} of {known.size} numbers better than their priors do "
-        f"(condition number {np.sqrt(better.max(initial=1.0) / better.min(initial=1e300)):.0f}); it reaches "
-        f"{band:.2g} Hz, and efforts are compared {rate:.2g} times a second"
     )
 
 

@@ -185,8 +185,8 @@ def print_identification(
         console.print(spread_line(spread))
     for c in known_together(result)[:MAX_COMBINATIONS]:
         console.print(f"known together: {c.text} to {numbers.percent(c.sd)}")
-    if result.determined:
-        console.print(result.determined)
+    for text in result.determined:
+        console.print(text)
     console.print(f"held-out: {held_out_line(result.held_out)}")
     if misfit := misfit_text(result):
         console.print(f"{misfit}: {THUMB}")

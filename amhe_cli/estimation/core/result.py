@@ -418,7 +418,7 @@ class Identification:
     runs: tuple[RunEstimate, ...] = ()
     missing: Missing | None = None  # None: the model misses the logs by no more than twice their noise
     information: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))  # of the logs about z, (d, d)
-    determined: str = ""  # what the motion determines, where efforts are matched
+    determined: tuple[str, ...] = ()  # what matched efforts tell: of all, and of each joint
     repairs: tuple[Repair, ...] = ()  # in the order in which they were tried
 
 

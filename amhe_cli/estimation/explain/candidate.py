@@ -31,7 +31,7 @@ class Cause:
         words: The cause in words.
         against: What its force is drawn against: name with its unit, and values (n,).
         repair: Entries of `parameters` that let the model have it; None: no number of a model does.
-        most: The largest first coefficient that can be: of friction or inertia, what the model has.
+        most: The largest first coefficient that can be: of friction, springs and inertia what the model has.
     """
 
     kind: str
@@ -125,12 +125,12 @@ class CauseMaker:
 
     def on(
         self, j: MeasuredDof, kind: str, columns: Sequence[FloatArray], words: Words, against: str = "time",
-        repair: Repair | None = None,
+        repair: Repair | None = None, most: float = np.inf,
     ) -> Cause:  # fmt: skip
         """A candidate on one degree of freedom; it is drawn against its position, speed, ... or the time."""
         values = np.zeros((len(columns), len(self.time), self.model.nv))
         values[..., j.dof] = columns
-        return Cause(kind, j.name, *self.spread(values), words, lambda: self.drawn(j, against), repair)
+        return Cause(kind, j.name, *self.spread(values), words, lambda: self.drawn(j, against), repair, most)
 
     def drawn(self, j: MeasuredDof, what: str) -> tuple[str, FloatArray]:
         """A quantity of a degree of freedom with its unit, at the rows that count."""

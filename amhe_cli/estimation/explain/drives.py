@@ -53,12 +53,14 @@ def drive_causes(maker: CauseMaker) -> Iterator[Cause]:
         yield Cause("command", name, *maker.spread(maker.commands[None, :, a]), words, against)
         yield from _inside(maker, a)
     if (total := maker.commands.sum(axis=1)).any():
-        dofs, values = maker.spread(-maker.change(total)[None])
+        dofs, values = maker.spread(maker.change(total)[None])
+        prompt = maker.system.edits.prompt
         yield Cause(
             "delay", "commands", dofs, values,
-            lambda c, sd: f"commands act {number(1e3 * c[0], 1e3 * sd[0])} ms later",
+            lambda c, sd: f"commands act {number(-1e3 * c[0], 1e3 * sd[0])} ms later",
             partial(_of, "change of the command's force", values[0, :, dofs[0]]),
-            lambda c, sd: _delay(float(c[0])) if c[0] > 0.0 and maker.system.edits.prompt else {},
+            lambda c, sd: _delay(float(-c[0])) if c[0] < 0.0 and prompt else {},
+            np.inf if maker.system.edits.late else 0.0,
         )  # fmt: skip
 
 

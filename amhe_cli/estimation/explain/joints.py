@@ -76,8 +76,8 @@ def _numbers(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
             value = maker.now(field, j.dof) - float(c[0])
             return maker.became((field, j.dof, 0), value, float(sd[0]), joint=j.name, set=word)
 
-        made = maker.on(j, kind, [columns[kind]], words, against, repair if j.place >= 0 else None)
-        yield replace(made, most=has)
+        repairs = repair if j.place >= 0 else None
+        yield maker.on(j, kind, [columns[kind]], words, against, repairs, has)
 
 
 def _in_time(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
@@ -107,7 +107,7 @@ def _springs(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
 
     yield maker.on(
         j, "spring", [j.q, np.ones_like(j.q)], spring, "position",
-        None if stiffness else lambda c, sd: _spring(maker, j, c, sd),
+        None if stiffness else lambda c, sd: _spring(maker, j, c, sd), maker.now("jnt_stiffness", j.joint),
     )  # fmt: skip
     if j.u == "rad" and np.ptp(j.q) > _CURVED:
         yield maker.on(
@@ -174,7 +174,7 @@ def _friction(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
         return {f"{j.name}_load_friction": entry} if c[0] < 0.0 else {}
 
     words = says("friction that grows with the load: # of it", -1.0)
-    yield maker.on(j, "load friction", [np.abs(j.given) * j.way], words, "speed", loaded)
+    yield maker.on(j, "load friction", [np.abs(j.given) * j.way], words, "speed", loaded, 0.0)
     for slow in np.sqrt((j.v**2).mean()) * np.array(_SLOW):
 
         def rising(c: FloatArray, sd: FloatArray, slow: float = float(slow)) -> dict[str, Any]:
@@ -186,7 +186,7 @@ def _friction(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
             return entries if c[0] < 0.0 else {}
 
         words = says(f"friction larger by # {j.f} below {slow:.2g} {j.u}/s", -1.0)
-        yield maker.on(j, "stribeck", [j.way * np.exp(-((j.v / slow) ** 2))], words, "speed", rising)
+        yield maker.on(j, "stribeck", [j.way * np.exp(-((j.v / slow) ** 2))], words, "speed", rising, 0.0)
 
 
 def _limits(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
@@ -195,14 +195,16 @@ def _limits(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
         top, fast = np.quantile(np.abs(j.given), quantile), np.quantile(np.abs(j.v), quantile)
         if top > 0.0:
             words = says(f"its drive gives no more than about {top:.2g} {j.f}")
-            yield maker.on(j, "force limit", [np.clip(j.given, -top, top) - j.given], words)
+            yield maker.on(j, "force limit", [j.given - np.clip(j.given, -top, top)], words, most=0.0)
         beyond = np.sign(j.v) * np.maximum(np.abs(j.v) - fast, 0.0)
         yield maker.on(j, "speed limit", [beyond], says(f"it is held back above {fast:.2g} {j.u}/s"), "speed")
     for quantile in _PLACES:
         for side, word in ((1.0, "above"), (-1.0, "below")):
             at = np.quantile(side * j.q, quantile)
             words = says(f"a force only {word} {side * at:.2g} {j.u}: something touches there")
-            yield maker.on(j, "contact", [np.maximum(side * j.q - at, 0.0)], words, "position")
+            yield maker.on(
+                j, "contact", [side * np.maximum(side * j.q - at, 0.0)], words, "position", most=0.0
+            )
 
 
 def _repeating(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
