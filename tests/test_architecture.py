@@ -29,7 +29,7 @@ ALLOWED: dict[str, set[str]] = {
     "robots/go1": {"core", "logs", "system", "engine", "estimation", "control", "live"},
     "study": {"core", "system", "engine", "estimation", "robots/go1"},
     "audit": {"core", "system", "init", "engine", "matching", "estimation"},
-    "report": {"core", "logs", "system", "estimation", "study", "audit", "web"},
+    "report": {"core", "logs", "system", "estimation", "study", "check", "audit", "web"},
     "api": {"core", "logs", "system", "engine", "estimation", "live", "report", "robots/go1", "view"},
     "cli": {
         "api",

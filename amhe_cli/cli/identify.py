@@ -11,7 +11,7 @@ import click
 from amhe_cli.cli import options
 from amhe_cli.cli.command import Given, command, option, setting
 from amhe_cli.cli.kinds import MODEL, NewFile
-from amhe_cli.cli.session import Session
+from amhe_cli.cli.session import LOSSY, Session
 
 if TYPE_CHECKING:
     from amhe_cli.cli.progress import Shown
@@ -63,6 +63,7 @@ def _a_cause(ctx: click.Context, param: click.Parameter, value: str | None) -> s
         "system's]",
         ("motion", "effort", "both"),
     ),
+    options.require("the sd of a parameter"),
     options.max_time,
     option(
         "--checkpoint",
@@ -74,21 +75,27 @@ def _a_cause(ctx: click.Context, param: click.Parameter, value: str | None) -> s
     options.tuning,
     options.output,
 )
-def identify(session: Session, given: Given) -> None:
+def identify(session: Session, given: Given) -> int | None:
     """Find the parameters that make the simulation follow LOG...
 
     A LOG is an MCAP file, a rosbag2 folder, a ROS 1 bag, a table (CSV, npz, parquet and others), a ULog,
     a LeRobot dataset, or a YAML file that lists logs and what is known of each: see docs/logs.md. Writes
     belief.yaml, identified.xml, result.json and report.html.
     """
+    from dataclasses import asdict
     from functools import partial
 
     from amhe_cli.api.identify import Interrupted
     from amhe_cli.api.identify import identify as run
     from amhe_cli.api.repair import repair
+    from amhe_cli.check.findings import worst_first
+    from amhe_cli.check.model import check_model
+    from amhe_cli.check.motion import motions, still
     from amhe_cli.cli.progress import progress
+    from amhe_cli.cli.required import matching, missed_of
     from amhe_cli.logs import members, read_log
     from amhe_cli.logs.truth import truth_in_metadata
+    from amhe_cli.report.check import print_before
     from amhe_cli.report.identification import print_identification
     from amhe_cli.study.executors import executor_of
 
@@ -102,7 +109,11 @@ def identify(session: Session, given: Given) -> None:
     system = inputs.open(logs)
     known: Any = given.pick("fix", "only", "belief_anyway")
     system.starting_from(given.belief, **known)  # a mistake in an option is found before long logs are read
+    matching(system.space.names, given.require)
     training = inputs.read(system, logs)
+    doubts = worst_first([*check_model(system.model), *still(motions(system, training))])
+    if not session.json:
+        print_before(doubts, session.console())
     validation = read_log(given.held_out, system, msg_path=inputs.msg_path)
     if given.repair:
         run = partial(repair, cause=None if given.repair == "all" else given.repair)
@@ -119,12 +130,17 @@ def identify(session: Session, given: Given) -> None:
         except Interrupted as stop:
             result = stop.result
     session.interrupted = result.found.interrupted
-    record = session.record(**result.record(), out=str(folder))
+    missed = missed_of(result.found.parameters, given.require, "known")
+    about = {"findings": [asdict(one) for one in doubts], "not_reached": missed, "out": str(folder)}
+    record = session.record(**result.record(), **about)
     read = [*logs, *(one.path for path in logs for one in members(path))]
     force = given.force or bool(given.model)
     result.write(folder, record, session.command_line, read, given.held_out, force)
     if not session.gave(record):
         print_identification(result.found, folder, session.console(), truth_in_metadata(training))
+        for text in missed:
+            session.console().print(f"not reached: {text}", style="yellow")
+    return LOSSY if missed else None
 
 
 def _check_apart(logs: Sequence[Path], held_out: Sequence[Path]) -> None:

@@ -18,6 +18,7 @@ import click
 from amhe_cli.cli import completion
 from amhe_cli.cli.command import Option, argument, flag, in_panel, option, setting
 from amhe_cli.cli.kinds import COUNT, FILE, FOLDER, LOG, SECONDS, Number, WholeNumber, episodes, listed, pairs
+from amhe_cli.cli.required import required
 from amhe_cli.core.errors import ConfigError
 
 #: Names of the tasks in robots/go1/tasks.py, which --help need not load.
@@ -158,6 +159,17 @@ def _spread(default: Any, shown: str) -> tuple[Option, ...]:
 
 spread = _spread(_cores, "all cores")
 spread_if_chosen = _spread(None, "none: threads of this one")
+
+
+def require(of: str) -> Option:
+    """How precisely parameters must be known."""
+    return option(
+        "--require",
+        f"Exit code 3 if {of} is larger than a share of its value; repeat for more.",
+        metavar="'NAME<5%'",
+        multiple=True,
+        callback=required,
+    )
 
 
 def force(of: str) -> Option:

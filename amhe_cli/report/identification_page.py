@@ -22,6 +22,7 @@ from amhe_cli.estimation.core.result import (
     known_together,
 )
 from amhe_cli.report import figures, numbers
+from amhe_cli.report.check import before_section
 from amhe_cli.report.held_out import better_text, held_out_section, held_out_statement
 from amhe_cli.report.missing import missing_section, repairs_section
 from amhe_cli.report.page import Section, Statement, Tone, cell, fixed_statement, result_page
@@ -210,6 +211,8 @@ def _sections(result: Identification, record: Mapping[str, Any], seen: Beside) -
     yield parameter_section(result, record["truth"])
     if result.fits:
         yield overlay_section(result.fits, seen)
+    if doubts := record.get("findings"):
+        yield before_section(doubts)
     if result.held_out:
         yield held_out_section(result.held_out)
     if result.missing:

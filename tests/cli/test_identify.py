@@ -94,6 +94,25 @@ def test_a_model_needs_no_system_folder(pendulum_log: Path, tmp_path: Path) -> N
 
 
 @pytest.mark.medium
+@pytest.mark.medium
+def test_what_is_wrong_before_the_fit_is_said_first_and_kept(
+    pendulum_log: Path, tmp_path: Path, capsys
+) -> None:
+    model = ROOT / "models" / "pendulum" / "scene.xml"
+    (tmp_path / "stiff.xml").write_text(model.read_text().replace('kp="', 'kp="9999'))
+    arguments = ["identify", str(pendulum_log), "--model", str(tmp_path / "stiff.xml"), "-o", "out", *QUICK]
+    arguments += ["--require", "load_mass<0.1%"]
+    assert run(arguments) == 3
+    shown = capsys.readouterr().out
+    assert shown.startswith("before the fit, ") and "time steps" in shown.partition("load_mass")[0]
+    assert "not reached: load_mass is known to" in shown
+    record = json.loads(Path("out/result.json").read_text())
+    assert record["findings"][0]["kind"] == "stiff" and len(record["not_reached"]) == 1
+    page = Path("out/report.html").read_text()
+    assert page.index("Before the fit") < page.index("Held")
+    assert run([*arguments, "--force", "--require", "no_such<5%"]) == 2
+
+
 def test_the_belief_is_a_prior_for_the_next_run(done: Path, pendulum_log: Path, capsys) -> None:
     arguments = ["identify", str(pendulum_log), "--belief", str(done / "belief.yaml"), "-q", "--json", *QUICK]
     assert run(arguments) == 0

@@ -1,0 +1,188 @@
+"""What is wrong with a model, and what logs will tell: on a terminal, as a page, and before a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from rich.console import Console
+
+from amhe_cli.check.findings import Finding
+from amhe_cli.check.motion import JointMotion
+from amhe_cli.estimation.core.result import ParameterResult
+from amhe_cli.estimation.design.expected import Expected
+from amhe_cli.report import numbers
+from amhe_cli.report.page import Section, Statement, page
+from amhe_cli.report.tables import NUMBER, TEXT, Table, rich_table
+
+#: Findings that a terminal lists, alone and before a fit, and combinations.
+_LISTED, _FEW, _TOGETHER = 20, 3, 4
+#: Kind of the first reason of a verdict -> what would cure it.
+_CURES = {
+    "idle": "move what it acts on, or log what it moves: `amhe probe` writes an excitation",
+    "open": "move what it acts on faster and farther: `amhe probe` writes an excitation",
+    "together": "measure one of them, or record a motion that tells them apart: `amhe probe`",
+    "assumed": "measure what is given, or make it a parameter",
+    "prior": "measure what your prior is about, or free what it holds: another motion, `amhe probe`",
+    "noise": "record more, or another motion: `amhe probe`",
+    "repeats": "look for what the model lacks: `amhe explain`",
+    "parts": "look for what differs between the parts: `amhe explain`",
+    "minimum": "a prior that excludes the other minimum",
+    "curvature": "record more of such motion",
+    "bound": "widen its bounds, or look for what is wrong",
+}
+
+
+def print_findings(found: Sequence[Finding], console: Console, most: int = _LISTED) -> None:
+    """Print the worst findings, each with its cure."""
+    for one in found[:most]:
+        console.print(f"  {one.where}: {one.what}", style="yellow", soft_wrap=True)
+        console.print(f"    {one.cure}", style="dim", soft_wrap=True)
+
+
+def print_before(found: Sequence[Finding], console: Console) -> None:
+    """Print the worst findings before a fit; nothing where there is none."""
+    if found:
+        more = f"; `amhe check` says more of the other {len(found) - _FEW}" if len(found) > _FEW else ""
+        console.print(f"before the fit, {_doubts(len(found))}{more}:", soft_wrap=True)
+        print_findings(found, console, _FEW)
+        console.print()
+
+
+def print_expected(hope: Expected, moved: Sequence[JointMotion], console: Console) -> None:
+    """Print where the motion is, and what it will tell."""
+    for table in (_motion_table(moved), _expected_table(hope)):
+        console.print()
+        console.print(rich_table(table))
+    console.print()
+    for p in hope.parameters:
+        if why := _why(hope, p):
+            console.print(f"{p.name}: {why}", soft_wrap=True)
+    for one in hope.combinations[:_TOGETHER]:
+        console.print(f"known together: {one.text} to {numbers.percent(one.sd)}", soft_wrap=True)
+    console.print(_time(hope))
+
+
+def before_section(findings: Sequence[Mapping[str, Any]]) -> Section:
+    """What was wrong before a fit, folded.
+
+    Args:
+        findings: The key `findings` of result.json.
+    """
+    table = _table((one["where"], one["what"], one["cure"]) for one in findings)
+    return Section("Before the fit", table=table, folded=True, remark=_doubts(len(findings)))
+
+
+def check_page(
+    name: str,
+    facts: Sequence[str],
+    found: Sequence[Finding],
+    hope: Expected | None,
+    moved: Sequence[JointMotion],
+    missed: Sequence[str],
+    command: str,
+) -> str:
+    """The page as HTML.
+
+    Args:
+        name: Of the model.
+        facts: The model in a few words.
+        found: What is wrong, the worst first.
+        hope, moved: What logs will tell, and where their motion is; None: there is no log.
+        missed: What was required, and is not expected.
+        command: The command line.
+    """
+    statements = [Statement("bad", f"Not reached: {text}.") for text in missed]
+    statements += [Statement("mixed", f"{one.where}: {one.what}.") for one in found[:_FEW]]
+    sections = []
+    if found:
+        text = "The worst first: how far a number is beyond what robots have."
+        rows = ((one.where, one.what, one.cure) for one in found)
+        sections.append(Section("What no robot has", text=text, table=_table(rows)))
+    if hope is not None:
+        told = sum(p.verdict in ("identified", "conditional") for p in hope.parameters)
+        good = "good" if told == len(hope.parameters) else "mixed"
+        tell = f"These logs will tell {told} of {len(hope.parameters)} parameters."
+        statements.append(Statement(good, tell))
+        sections += [
+            Section("Where the motion is", table=_motion_table(moved)),
+            Section(
+                "What a fit will say",
+                text=f"From slopes near the estimate of a few clips. {_time(hope)}.".replace("`", ""),
+                table=_expected_table(hope),
+            ),
+        ]
+        if hope.combinations:
+            known = [f"{one.text}, to {numbers.percent(one.sd)}" for one in hope.combinations]
+            sections.append(Section("Known together only", items=known))
+    sections.append(Section("How it was made", items=[command], files=True, folded=True))
+    headline = f"{_doubts(len(found))}." if found else "Nothing that a robot could not have."
+    return page("check", title=name, facts=facts, headline=headline, statements=statements, sections=sections)
+
+
+def expected_record(hope: Expected, moved: Sequence[JointMotion], missed: Sequence[str]) -> dict[str, Any]:
+    """What `amhe check --json` says of logs."""
+    names = ("name", "unit", "estimate", "prior", "sd", "shrinkage", "verdict")
+    return {
+        "motion": [asdict(one) for one in moved],
+        "expected": [
+            {name: getattr(p, name) for name in names}
+            | {"reasons": [asdict(r) for r in p.reasons], "cure": _cure(p)}
+            for p in hope.parameters
+        ],
+        "together": [asdict(one) for one in hope.combinations],
+        "idle": hope.idle,
+        "fit_cpu_seconds": hope.seconds,
+        "not_reached": list(missed),
+    }
+
+
+def _doubts(count: int) -> str:
+    return f"{count} doubt{'s' * (count != 1)} about model and logs"
+
+
+def _table(rows: Any) -> Table:
+    return Table(("where", "what", "what would cure it"), ("", TEXT, TEXT), [*rows])
+
+
+def _motion_table(moved: Sequence[JointMotion]) -> Table:
+    rows = [
+        (
+            one.joint, f"{one.low:.3g} to {one.high:.3g}",
+            "" if one.share is None else numbers.percent(one.share), f"{one.speed:.3g}",
+        )
+        for one in moved
+    ]  # fmt: skip
+    return Table(("joint", "moves", "of its range", "speed"), ("", *[NUMBER] * 3), rows)
+
+
+def _expected_table(hope: Expected) -> Table:
+    rows = [
+        (p.name, f"{p.prior:.3g}", numbers.percent(relative(p)), numbers.unit_of(p.unit), p.verdict)
+        for p in hope.parameters
+    ]
+    looks = ("", NUMBER, NUMBER, "", "")
+    remarks = [_why(hope, p).replace("`", "") for p in hope.parameters]
+    return Table(("parameter", "prior", "expected sd", "unit", "verdict"), looks, rows, remarks)
+
+
+def relative(p: ParameterResult) -> float:
+    """A parameter's sd as a share of its value."""
+    return p.sd / max(abs(p.estimate), 1e-300)
+
+
+def _why(hope: Expected, p: ParameterResult) -> str:
+    """Why a parameter will not be told, and what would cure it; '' of one that will."""
+    reason = hope.idle.get(p.name) or next((one.text for one in p.reasons), "")
+    if p.verdict == "identified" or not reason:
+        return ""
+    return f"{reason}; {_cure(p)}" if _cure(p) else reason
+
+
+def _cure(p: ParameterResult) -> str:
+    return _CURES.get(p.reasons[0].kind, "") if p.verdict != "identified" and p.reasons else ""
+
+
+def _time(hope: Expected) -> str:
+    return f"`amhe identify` would take about {float(f'{hope.seconds:.1g}'):g} s of CPU"
