@@ -75,7 +75,7 @@ READ, REFUSED, TRACEBACK = 0, 1, 2
 def mutated(content: bytes, rng: np.random.Generator) -> bytes:
     """The content with one to four faults."""
     data = bytearray(content)
-    for _ in range(int(rng.integers(1, 5))):
+    for _ in range(int(rng.integers(1, 5)) if content else 0):
         at, other = (int(place) for place in rng.integers(0, max(len(data) - 8, 1), 2))
         size = int(rng.integers(1, 200))
         fault = int(rng.integers(6))
@@ -88,9 +88,9 @@ def mutated(content: bytes, rng: np.random.Generator) -> bytes:
         elif fault == 3:
             data[at:at] = data[other : other + size]
         elif fault == 4:
-            del data[at : at + size]
+            del data[at + 1 : at + size]
         elif rng.random() < 0.3:
-            del data[at:]
+            del data[at + 1 :]
     return bytes(data)
 
 

@@ -8,10 +8,13 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
+from amhe_cli.core.errors import NOTE
 from amhe_cli.estimation.core.result import Iteration
 
 logger = logging.getLogger(__name__)
 
+#: Time of search and conclusion [s] beyond which they say how long they take.
+_LONG = 60.0
 #: Called after each iteration, and before each part of the conclusion, with a record and the expected total.
 OnIteration = Callable[[Iteration, int], None]
 
@@ -47,6 +50,13 @@ class Watch:
     def saw(self, iteration: Iteration, total: int) -> None:
         """Take note of an iteration of the search."""
         self.measured(iteration.rollouts)
+        left = self._pace * (iteration.rollouts * (total - iteration.number) + self._reserve)
+        if self._limit is None and not self._record.number and left > _LONG:
+            logger.log(
+                NOTE,
+                f"this may take another {left / 60.0:.0f} minutes, at {iteration.rollouts} rollouts an "
+                f"iteration; `max_time` ends it in time with the best so far",
+            )
         self._record = iteration
         self._on_iteration(iteration, total)
         self._last = time.monotonic()

@@ -87,3 +87,19 @@ def test_without_a_limit_there_is_time_for_all_and_after_an_interruption_for_non
     assert not watch.stopped and watch.allows("cost profiles", 10**9)
     watch.interrupted = True
     assert watch.stopped and not watch.allows("cost profiles", 1)
+
+
+def test_a_long_search_without_a_limit_says_how_long(clock, caplog) -> None:
+    caplog.set_level("INFO")
+    watch = Watch(lambda *_: None, None, 6)
+    watch.keep(600)
+    clock.now += 1.0
+    watch.saw(iteration(1), 16)  # 15 s and 3 s are left
+    assert not caplog.records
+    watch = Watch(lambda *_: None, None, 6)
+    watch.keep(600)
+    for number in (1, 2):
+        clock.now += 20.0
+        watch.saw(iteration(number), 16)
+    (said,) = caplog.messages  # 15 iterations of 20 s, and a conclusion of 60 s
+    assert said.startswith("this may take another 6 minutes, at 200 rollouts an iteration")
