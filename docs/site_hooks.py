@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from latex2mathml.converter import convert
 from mkdocs.structure.files import File, Files
 
 README = Path(__file__).parents[1] / "README.md"
 #: [text](../path) of a file that is not in docs/.
 _OUTSIDE = re.compile(r"\[([^\]]*)\]\(\.\./[^)]*\)")
+
+
+#: $$ ... $$ and $...$: equations in LaTeX, as GitHub renders them.
+_DISPLAYED, _INLINE = re.compile(r"\$\$(.+?)\$\$", re.DOTALL), re.compile(r"(?<![\w`$])\$([^$\n]+)\$")
+_CODE = re.compile(r"(```.*?```|`[^`\n]*`)", re.DOTALL)
 
 
 def on_files(files: Files, config: Any) -> Files:
@@ -22,5 +29,16 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Links to the README lead to the first page; the names of other files stand without a link."""
-    return _OUTSIDE.sub(r"\1", markdown.replace("](../README.md", "](index.md"))
+    """Links to the README lead to the first page, other files are named only, and equations are MathML."""
+    markdown = _OUTSIDE.sub(r"\1", markdown.replace("](../README.md", "](index.md"))
+    parts = _CODE.split(markdown)
+    return "".join(part if part.startswith("`") else _with_equations(part) for part in parts)
+
+
+def _with_equations(text: str) -> str:
+    """A text without code, its equations as MathML, which browsers render without a script."""
+
+    def shown(display: str) -> Callable[[re.Match[str]], str]:
+        return lambda match: convert(match[1].strip(), display=display)
+
+    return _INLINE.sub(shown("inline"), _DISPLAYED.sub(shown("block"), text))

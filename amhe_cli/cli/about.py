@@ -20,20 +20,30 @@ _EXAMPLES = {
 
 
 @command(
-    "The help of a command.",
-    argument("name", required=False, metavar="[COMMAND]"),
+    "The help of a command, or of a message.",
+    argument("name", required=False, metavar="[COMMAND|MESSAGE]"),
     name="help",
     simulates=False,
 )
 def _help(session: Session, given: Given) -> None:
-    """Print the help of COMMAND, as `amhe COMMAND --help` does; without one, the list of all commands."""
+    """Print the help of COMMAND, as `amhe COMMAND --help` does; without one, the list of all commands.
+
+    MESSAGE is the word that a warning, an error or a result names: `amhe help assumed` says what it means
+    and what to do. The entries are those of docs/troubleshooting.md.
+    """
+    from amhe_cli.cli.advice import entries
     from amhe_cli.core.errors import ConfigError, one_of
 
     top = click.get_current_context().find_root()
     assert isinstance(top.command, click.Group)
     found = top.command.commands.get(given.name)
     if given.name and found is None:
-        raise ConfigError(one_of("command", given.name, top.command.commands))
+        about = entries()
+        if given.name not in about:
+            known = (*top.command.commands, *about)
+            raise ConfigError(one_of("command or message", given.name, known))
+        print(about[given.name])
+        return
     print(found.get_help(click.Context(found, info_name=given.name, parent=top)) if found else top.get_help())
 
 

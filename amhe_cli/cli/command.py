@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 #: The panel of options that every command has, which help names in one line.
 COMMON = "Common"
 #: Names that an option had once.
-_FORMER = {"--for": "--seconds", "--duration": "--seconds"}
+FORMER = {"--for": "--seconds", "--duration": "--seconds"}
 
 
 class Option(click.Option):
@@ -125,9 +125,7 @@ class Command(click.Command):
         session = ctx.ensure_object(Session)
         session.name, session.command, session.options = str(self.name), ctx.command_path, options_of(self)
         parts = (arg.partition("=") for arg in from_ros(args))
-        return super().parse_args(
-            ctx, [_FORMER.get(name, name) + sign + value for name, sign, value in parts]
-        )
+        return super().parse_args(ctx, [FORMER.get(name, name) + sign + value for name, sign, value in parts])
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command's body."""

@@ -88,6 +88,7 @@ def identify(session: Session, given: Given) -> int | None:
     from amhe_cli.api.identify import Interrupted
     from amhe_cli.api.identify import identify as run
     from amhe_cli.api.repair import repair
+    from amhe_cli.cli.advice import entries
     from amhe_cli.check.findings import worst_first
     from amhe_cli.check.model import check_model
     from amhe_cli.check.motion import motions, still
@@ -138,6 +139,9 @@ def identify(session: Session, given: Given) -> int | None:
     result.write(folder, record, session.command_line, read, given.held_out, force)
     if not session.gave(record):
         print_identification(result.found, folder, session.console(), truth_in_metadata(training))
+        kinds = {reason.kind for one in result.found.parameters for reason in one.reasons}
+        if words := sorted(kinds & entries().keys()):
+            print(f"explained: {', '.join(f'amhe help {word}' for word in words)}")
         for text in missed:
             session.console().print(f"not reached: {text}", style="yellow")
     return LOSSY if missed else None

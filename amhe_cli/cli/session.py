@@ -125,9 +125,17 @@ class Session:
         return LOSSY if self.strict and self.warnings else DONE
 
     def say(self, kind: str, text: str) -> None:
-        """Write one message, such as 'amhe identify: error: ...', on stderr; it speaks of options."""
-        first, *rest = [printable(line) for line in in_options(text, self.options).split("\n")]
-        label = f"{kind}: " if kind else ""
+        """Write one message, such as 'amhe identify: error: ...', on stderr; it speaks of options.
+
+        Warnings and errors end with what prints more about them, where docs/troubleshooting.md has an entry.
+        """
+        label, more = f"{kind}: " if kind else "", ""
+        if kind in ("warning", "error"):
+            from amhe_cli.cli.advice import entry_of
+
+            entry = entry_of(text)
+            more = f" (amhe help {entry})" if entry else ""
+        first, *rest = [printable(line) for line in (in_options(text, self.options) + more).split("\n")]
         with suppress(OSError):  # nobody reads it any more
             print(
                 f"{self.command}: {label}{first}", *(f"  {line}" for line in rest), sep="\n", file=sys.stderr

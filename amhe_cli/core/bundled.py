@@ -12,7 +12,7 @@ EXAMPLE = "example:"
 
 
 def bundled_root() -> Path:
-    """Folder that holds `models` and `examples/logs`: inside a wheel, or the top of a checkout."""
+    """Folder of `models`, `examples/logs` and `docs/troubleshooting.md`: in a wheel, or a checkout's top."""
     package = Path(amhe_cli.__file__).parent
     inside = package / "_bundled"
     return inside if inside.is_dir() else package.parent

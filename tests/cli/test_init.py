@@ -139,9 +139,9 @@ def test_a_model_of_the_menagerie_without_a_network(
 def test_the_commands_of_the_docs_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pendulum_log: Path
 ) -> None:
-    page = (ROOT / "docs" / "systems.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "your_model.md").read_text(encoding="utf-8")
     section = page.split("## Robots from URDF and the menagerie")[1].split("\n## ")[0]
-    commands = re.findall(r"^    amhe (init .*)$", section, re.MULTILINE)
+    commands = re.findall(r"^amhe (init .*)$", section, re.MULTILINE)
     assert len(commands) == 4
     monkeypatch.setitem(sys.modules, "mujoco_menagerie", Menagerie("mujoco_menagerie"))
     monkeypatch.chdir(tmp_path)

@@ -50,6 +50,7 @@ def test_the_examples_of_signals_load(tmp_path: Path) -> None:
         for text in re.findall(r"```yaml\n(.*?)```", PAGE.read_text(), re.DOTALL)
         if text.startswith(("signals:", "parameters:"))
     ]
+    examples += re.findall(r"```yaml\n(signals:.*?)```", PAGE.with_name("servo.md").read_text(), re.DOTALL)
     assert len(examples) == 5
     for text in examples:
         parameters = "" if text.startswith("parameters:") else PARAMETERS

@@ -1,8 +1,7 @@
-"""The hook of docs/systems.md holds what the engine holds."""
+"""The hook of examples/ holds what the engine holds."""
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-DOCS = Path(__file__).parents[2] / "docs" / "systems.md"
+HOOK = Path(__file__).parents[2] / "examples" / "gear_friction.py"
 STEP = 0.004
 ARM = """<mujoco><option timestep="{dt}"/><worldbody><body><joint name="hip" axis="0 1 0" frictionloss=".01"/>
   <geom type="sphere" size=".02" pos=".2 0 0" mass="1"/></body></worldbody>
@@ -20,11 +19,8 @@ ARM = """<mujoco><option timestep="{dt}"/><worldbody><body><joint name="hip" axi
 
 @pytest.mark.parametrize(("k", "moves"), [(0.9, True), (1.1, False)])
 def test_a_gear_that_locks_holds_its_load(k: float, moves: bool) -> None:
-    code = next(
-        text for text in re.findall(r"```python\n(.*?)```", DOCS.read_text(), re.S) if "GearFriction" in text
-    )
     names: dict[str, Any] = {}
-    exec(code, names)
+    exec(HOOK.read_text(), names)
     model = mujoco.MjModel.from_xml_string(ARM.format(dt=STEP, k=k))
     data, hook = mujoco.MjData(model), names["GearFriction"](model)
     mujoco.mj_forward(model, data)

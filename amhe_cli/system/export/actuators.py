@@ -172,5 +172,5 @@ def lost(draws: Drawn) -> list[str]:
         return []
     return [
         "friction of gears: constant in the actuators, as under the median load of gravity; it neither grows "
-        "with load nor falls with speed (docs/systems.md has a hook for MuJoCo that applies it)"
+        "with load nor falls with speed (examples/gear_friction.py is a hook for MuJoCo that applies it)"
     ]
