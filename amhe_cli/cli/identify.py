@@ -15,7 +15,7 @@ from amhe_cli.cli.session import LOSSY, Session
 
 if TYPE_CHECKING:
     from amhe_cli.cli.progress import Shown
-    from amhe_cli.estimation.core.result import Iteration
+    from amhe_cli.estimation.core.result import Iteration, ParameterResult
 
 
 def _a_cause(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
@@ -88,7 +88,6 @@ def identify(session: Session, given: Given) -> int | None:
     from amhe_cli.api.identify import Interrupted
     from amhe_cli.api.identify import identify as run
     from amhe_cli.api.repair import repair
-    from amhe_cli.cli.advice import entries
     from amhe_cli.check.findings import worst_first
     from amhe_cli.check.model import check_model
     from amhe_cli.check.motion import motions, still
@@ -139,12 +138,19 @@ def identify(session: Session, given: Given) -> int | None:
     result.write(folder, record, session.command_line, read, given.held_out, force)
     if not session.gave(record):
         print_identification(result.found, folder, session.console(), truth_in_metadata(training))
-        kinds = {reason.kind for one in result.found.parameters for reason in one.reasons}
-        if words := sorted(kinds & entries().keys()):
-            print(f"explained: {', '.join(f'amhe help {word}' for word in words)}")
-        for text in missed:
-            session.console().print(f"not reached: {text}", style="yellow")
+        _print_help(session, result.found.parameters, missed)
     return LOSSY if missed else None
+
+
+def _print_help(session: Session, parameters: Sequence[ParameterResult], missed: Sequence[str]) -> None:
+    """Name what explains the reasons of the table, and say what was required and not reached."""
+    from amhe_cli.cli.advice import entries
+
+    told = {one.reasons[0].kind for one in parameters if one.reasons}
+    if words := sorted(told & entries().keys()):
+        print(f"explained: amhe help {', '.join(words)}")
+    for text in missed:
+        session.console().print(f"not reached: {text}", style="yellow")
 
 
 def _check_apart(logs: Sequence[Path], held_out: Sequence[Path]) -> None:
