@@ -24,6 +24,7 @@ from amhe_cli.core import differentiate, rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Log
 from amhe_cli.core.series import Series
+from amhe_cli.matching.starts import tangent_of
 from amhe_cli.system.description.data import Channel
 from amhe_cli.system.system import System
 
@@ -51,6 +52,7 @@ def simulated(
     command_hz: float = 50.0,
     settle: float = 0.0,
     noisy_start: bool = True,
+    askew: bool = False,
 ) -> Log:
     """A log as the reader would make it, of the system's own model at theta.
 
@@ -63,10 +65,13 @@ def simulated(
         state_hz, command_hz: Message rates.
         settle: Seconds simulated under the first command before the log begins.
         noisy_start: Whether the very first state carries noise as well.
+        askew: The plant begins as far from the model's own state as its sensors err. Nothing real is exactly
+            symmetric, and a simulation that is stays so, on a motion that any breath of air would end.
     """
     model = system.edits.apply(system.model, theta)
     late = system.edits.delays(theta[None])[0] / model.opt.timestep
-    qpos, qvel, ctrl = _simulate(model, command, seconds, command_hz, settle, late)
+    first = _askew(system, model, rng) if askew else model.qpos0
+    qpos, qvel, ctrl = _simulate(model, first, command, seconds, command_hz, settle, late)
     every = round(1.0 / state_hz / model.opt.timestep)
     steps = len(qpos) - 1
     rows = np.arange(0, steps + 1, every)
@@ -84,8 +89,19 @@ def simulated(
     return Log(model.opt.timestep, series, "simulated")
 
 
+def _askew(system: System, model: mujoco.MjModel, rng: np.random.Generator) -> FloatArray:
+    """A first position (nq,) that differs from the model's own by a draw of the sensors' noise."""
+    sd, first = np.zeros(model.nv), np.array(model.qpos0)
+    for channel in system.channels:
+        if channel.source == "qpos":
+            sd[tangent_of(system, channel)] = channel.noise or 0.0
+    mujoco.mj_integratePos(model, first, sd * rng.standard_normal(model.nv), 1.0)
+    return first
+
+
 def _simulate(
     model: mujoco.MjModel,
+    first: FloatArray,
     command: Command,
     seconds: float,
     command_hz: float,
@@ -94,6 +110,7 @@ def _simulate(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """True states and inputs at every instant, the first one included; inputs act `late` steps after it."""
     data = mujoco.MjData(model)
+    data.qpos[:] = first
     data.ctrl[:] = command(0.0)
     for _ in range(round(settle / model.opt.timestep)):
         mujoco.mj_step(model, data)

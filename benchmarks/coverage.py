@@ -69,7 +69,7 @@ def log_of(case: str, system: System, theta: np.ndarray, rng: np.random.Generato
     """One short log."""
     if case == "pendulum":
         return simulated(system, theta, multisine(rng), 10.0, rng, state_hz=50)
-    return simulated(system, theta, stop_and_go(rng, 6.0), 6.0, rng, state_hz=50, settle=0.5)
+    return simulated(system, theta, stop_and_go(rng, 6.0), 6.0, rng, state_hz=50, settle=0.5, askew=True)
 
 
 def trial(case: str, seed: int) -> dict[str, Any]:

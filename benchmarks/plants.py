@@ -20,7 +20,7 @@ from amhe_cli.core.settings import AssumedSettings
 #: Settings of all problems: short clips, and no more searching than a small problem needs.
 SMALL = {
     "clips": {"length": [0.4, 1.0], "count": 12},
-    "identify": {"profile_points": 0, "cmaes_starts": 1, "cmaes_iterations": 15},
+    "identify": {"profile_points": 0},
 }
 #: Sd of the priors, and the share of it by which plants differ from the nominal; both of logarithms.
 PRIOR, SPREAD = 0.7, 0.5

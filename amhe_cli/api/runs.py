@@ -10,7 +10,6 @@ from typing import Any
 
 from amhe_cli.api.arguments import checked
 from amhe_cli.core.belief import Belief
-from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.files import filling, plain
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.estimation.design.design import known_record, plan_record
@@ -30,7 +29,7 @@ def probe(
     seed: int = 0,
     threads: int | None = None,
     engine: str = "cpu",
-    recipe: str | None = None,
+    recipe: str = "multisine",
     speed: float | None = None,
     rate: float | None = None,
     excitation: str | Path | None = None,
@@ -48,13 +47,12 @@ def probe(
         threads: CPU threads; None: all cores. Results do not depend on it.
         engine: What computes the rollouts: 'cpu', 'gpu', or 'auto', for each call the quicker.
         recipe: Kind of the excitation: 'chirp', 'multisine', 'steps' or 'sweep'. Simulated under draws of the
-            prior, it reaches no limit of joints, speed or force, and touches nothing. None: sums of sines
-            within the limits of the controls.
-        speed: With a recipe: largest speed of a joint [rad/s or m/s]; None: that of the settings, or else
-            3.14 of hinges, 0.5 of slides.
-        rate: With a recipe: commands a second [Hz]; None: that of the settings.
-        excitation: With a recipe: folder for its commands: `excitation.csv`, `.npz` (times, joints, targets)
-            and `.mcap`; None: they are not kept.
+            prior, it reaches no limit of joints, speed or force, and touches nothing.
+        speed: Largest speed of a joint [rad/s or m/s]; None: that of the settings, or else 3.14 of hinges,
+            0.5 of slides.
+        rate: Commands a second [Hz]; None: that of the settings.
+        excitation: Folder for the commands: `excitation.csv`, `.npz` (times, joints, targets) and `.mcap`;
+            None: they are not kept.
         log: File for the log of the simulated probe (.mcap; .csv where the system reads tables); None: it is
             not kept.
         progress: Called with a line of text now and then.
@@ -69,8 +67,6 @@ def probe(
     """
     hush_mujoco()
     seed, threads = checked(seed, threads, times={"seconds": seconds}, files={"log": log})
-    if excitation is not None and recipe is None:
-        raise ConfigError("`excitation` needs a `recipe`: one of 'chirp', 'multisine', 'steps', 'sweep'")
     start = Path(belief) if isinstance(belief, str) else belief
     options = ProbeOptions(
         seconds=seconds, belief=start, seed=seed, threads=threads, fix=fix or {}, only=only,

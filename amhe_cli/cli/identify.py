@@ -52,7 +52,7 @@ def _a_cause(ctx: click.Context, param: click.Parameter, value: str | None) -> s
     ),
     option(
         "--method",
-        "Estimator; linearised falls back on cmaes where it does not help.",
+        "Estimator; cmaes is that of SPI.",
         ("linearised", "cmaes"),
         default="linearised",
         show_default=True,

@@ -149,9 +149,7 @@ class IdentifySettings(SettingsGroup):
     """Of these, at most so many on fixed clips at the end; those before draw random clips, where things touch
     or logs are long."""
     cmaes_iterations: Annotated[int, Field(ge=1)] = 40
-    """Iterations of one CMA-ES start."""
-    cmaes_starts: Annotated[int, Field(ge=1)] = 3
-    """Starts of CMA-ES when it is the fallback."""
+    """Iterations of CMA-ES."""
     first_state: Literal["always", "polish", "never"] = "always"
     """When to treat each clip's first-state errors as nuisances with the sensors' noise as prior;
     polish: only in the last iterations and for the uncertainty, where they are many and clips are dear."""
@@ -265,11 +263,11 @@ class ProbeSettings(SettingsGroup):
     pairs: Annotated[int, Field(ge=0)] = 1
     """Pairs of draws of the belief, in addition to its mean, that the information is averaged over."""
     candidates: Annotated[int, Field(ge=1)] = 12
-    """Random multisines to choose from, where actuators are driven as they are."""
+    """Random motions to choose from, where actuators are driven as they are."""
     speed: Positive | None = None
-    """Largest speed of a joint in a recipe [rad/s or m/s]; None: 3.14 of hinges, 0.5 of slides."""
+    """Largest speed of a driven joint [rad/s or m/s]; None: 3.14 of hinges, 0.5 of slides."""
     rate: Annotated[float, Field(ge=10, le=1000)] = 100.0
-    """Commands a second in a recipe [Hz]."""
+    """Commands a second, where actuators are driven as they are [Hz]."""
 
 
 def _several(given: Any) -> Any:

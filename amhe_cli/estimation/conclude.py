@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -35,7 +34,7 @@ from amhe_cli.estimation.uncertainty.fit import (
     final_fit,
 )
 from amhe_cli.estimation.uncertainty.ledger import LEAST, Ledger
-from amhe_cli.estimation.uncertainty.minimum import SHARE, Rival, second_minimum
+from amhe_cli.estimation.uncertainty.minimum import SHARE, Rival, better, report_minima, second_minimum
 from amhe_cli.estimation.uncertainty.misfit import (
     ASKED,
     blamed,
@@ -73,13 +72,13 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
     """
     system = problem.system
     watch.enter("covariance")
-    finding, fit = _settled(problem, finding, watch)
+    finding, fit, rival = _best(problem, *_settled(problem, finding, watch), watch)
     validation, own = with_own_values(problem, validation, fit.z, fit.shape, fit.scale)
     for text in own:
         logger.log(NOTE, text)
     held_out, misfit = _judged(problem, finding, fit, validation, watch)
     missing = _missing(problem, finding, fit, watch)
-    ledger, rival, exact = _ledger(problem, finding, fit, watch)
+    ledger, exact = _ledger(problem, finding, fit, rival, watch)
     evidence = Evidence(
         z=finding.z,
         ledger=ledger,
@@ -146,6 +145,22 @@ def _settled(problem: Problem, finding: Finding, watch: Watch) -> tuple[Finding,
     return finding, fit
 
 
+def _best(
+    problem: Problem, finding: Finding, fit: FinalFit, watch: Watch
+) -> tuple[Finding, FinalFit, Rival | None]:
+    """The better one of two minima, its linearisation, and the other one; None where there is no other."""
+    searched = SHARE * sum(entry.rollouts for entry in finding.record)
+    if not watch.allows("search for a second minimum", searched):
+        return finding, fit, None
+    rival = second_minimum(problem, finding, fit)
+    if rival is not None and rival.share > 0.5:
+        there, rival = rival.z, rival.against(fit.z)
+        finding, fit = _settled(problem, better(problem, finding, there, watch), watch)
+    if rival is not None:
+        report_minima(problem.system.space, fit.z, rival)
+    return finding, fit, rival
+
+
 def _judged(
     problem: Problem, finding: Finding, fit: FinalFit, validation: Sequence[Window], watch: Watch
 ) -> tuple[HeldOut | None, tuple[str, ...]]:
@@ -192,19 +207,8 @@ def _validated(
     held_out, against = validate(problem, validation, finding), left_out(fit)
     if not held_out or not watch.allows("held-out clips from fitted first states", problem.linearisation):
         return held_out, against
-    judged = judge(problem, validation, fit)
-    if problem.system.match == "effort":  # there are no first states, and each instant stands for itself
-        whole = {one.channel: one for one in reversed(judged.errors)}
-        errors = tuple(replace(whole[key], identified_fitted=math.nan) for key in sorted(whole))
-        return replace(held_out, noise_scale=judged.noise_scale, errors=errors), (*against, *judged.against)
-    held_out = replace(
-        held_out,
-        fitted_cost=judged.cost,
-        initial_fitted_cost=judged.initial_cost,
-        noise_scale=judged.noise_scale,
-        errors=judged.errors,
-    )
-    return held_out, (*against, *judged.against)
+    held_out, worse = judge(problem, validation, fit, held_out)
+    return held_out, (*against, *worse)
 
 
 def _report_budget(system: System, ledger: Ledger) -> None:
@@ -222,9 +226,9 @@ def _predictions(problem: Problem, validation: Sequence[Window]) -> int:
 
 
 def _ledger(
-    problem: Problem, finding: Finding, fit: FinalFit, watch: Watch
-) -> tuple[Ledger, Rival | None, tuple[str, ...]]:
-    """All terms of the estimate's error, a second minimum, and what the settings take as exact.
+    problem: Problem, finding: Finding, fit: FinalFit, rival: Rival | None, watch: Watch
+) -> tuple[Ledger, tuple[str, ...]]:
+    """All terms of the estimate's error, and what the settings take as exact.
 
     Terms for which there is no time are left out, and named.
     """
@@ -241,11 +245,8 @@ def _ledger(
         term, exact = assumed(problem, fit)
         found.append(term)
     found = terms.inherited(space, fit, found)
-    rival, searched = None, SHARE * sum(entry.rollouts for entry in finding.record)
-    if watch.allows("search for a second minimum", searched):
-        rival = second_minimum(problem, finding, fit, Ledger(tuple(found)).covariance)
-        found += [rival.term(fit.z)] if rival else []
-    return Ledger(tuple(found)), rival, exact
+    found += [rival.term(fit.z)] if rival else []
+    return Ledger(tuple(found)), exact
 
 
 def _profiles(

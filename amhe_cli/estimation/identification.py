@@ -29,7 +29,6 @@ from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.offline.watch import OnIteration, Watch
 from amhe_cli.estimation.uncertainty.fit import Finding
 from amhe_cli.estimation.uncertainty.hierarchy import with_common_means
-from amhe_cli.estimation.validation.held_out import fitted_costs, validate, with_own_values
 from amhe_cli.matching.motion import velocity_lag
 from amhe_cli.system.system import System
 
@@ -126,8 +125,8 @@ def searched_for(
 ) -> Search:
     """The search of `identify`, whose arguments it takes, without the conclusion.
 
-    `quick`: do not fall back on CMA-ES, and do not warn of parameters that the logs do not depend on. `near`:
-    begin at this theta, all clips at once, and not at the prior's mean with a few.
+    `quick`: do not warn of parameters that the logs do not depend on. `near`: begin at this theta, all clips
+    at once, and not at the prior's mean with a few.
     """
     if options.method not in METHODS:
         raise ConfigError(f"`method`: {one_of('method', options.method, METHODS)}")
@@ -142,11 +141,10 @@ def searched_for(
         _warn(system, problem)
     watch.keep(RESERVE * problem.linearisation)
     kept = Checkpoint(options.checkpoint, problem, options.method)
-    known = quick or options.share < 1.0  # a search that begins at values that explain much cannot gain much
     begin = search.start(problem)
     if near is not None:
         begin = search.restart(problem, system.space.clip(system.space.z_of(near)))
-    finding = _search(problem, validation, options.method, watch, kept, known, begin)
+    finding = _search(problem, options.method, watch, kept, begin)
     return Search(problem, finding, validation, watch, model)
 
 
@@ -244,31 +242,14 @@ def _no_clips(pool: ClipPool) -> str:
     return f"no clip of these logs can be used ({counted}): {cause}"
 
 
-def _search(
-    problem: Problem,
-    validation: list[Window],
-    method: str,
-    watch: Watch,
-    kept: Checkpoint,
-    quick: bool,
-    begin: SearchState,
-) -> Finding:
-    """Run the method, and CMA-ES from several starts where the linearised one did not help."""
+def _search(problem: Problem, method: str, watch: Watch, kept: Checkpoint, begin: SearchState) -> Finding:
+    """Run the method, from where a checkpoint has left it."""
     if not problem.active.any():
         return replace(begin, stage="done", settled=True)  # no parameter to search
     saved = kept.load()
-    if isinstance(saved, CmaState):
-        return _run(cma.advance, cma.total, problem, saved, watch, kept)
-    if method == "cmaes":
-        return _run(cma.advance, cma.total, problem, cma.start(problem, 1), watch, kept)
-    found = _run(search.advance, search.total, problem, saved or begin, watch, kept)
-    if watch.stopped or quick or not _needs_rescue(problem, found, validation):
-        return found
-    starts = problem.settings.identify.cmaes_starts
-    logger.warning(
-        f"the linearised search did not lower the held-out cost: searching with CMA-ES from {starts} starts"
-    )
-    return _run(cma.advance, cma.total, problem, cma.start(problem, starts, found), watch, kept)
+    if isinstance(saved, CmaState) or (saved is None and method == "cmaes"):
+        return _run(cma.advance, cma.total, problem, saved or cma.start(problem), watch, kept)
+    return _run(search.advance, search.total, problem, saved or begin, watch, kept)
 
 
 S = TypeVar("S", SearchState, CmaState)
@@ -292,24 +273,3 @@ def _run(
         watch.interrupted = True
         logger.warning("interrupted: the result is the best so far, the search had not settled")
     return state
-
-
-#: A held-out cost above this is bad: residuals of twice their noise.
-_BAD = 4.0
-
-
-def _needs_rescue(problem: Problem, finding: SearchState, validation: list[Window]) -> bool:
-    """Whether the held-out cost stayed bad, or got worse by more than its scatter.
-
-    A search that begins at the truth cannot gain. From recorded first states, whose noise is in the cost, a
-    right model may look bad: where it does, the first states are fitted.
-    """
-    validation, _ = with_own_values(problem, validation, finding.z, finding.shape, finding.scale)
-    found = validate(problem, validation, finding)
-    if found is None or not _bad(found.initial_cost, found.cost):
-        return False
-    return _bad(*fitted_costs(problem, validation, finding))
-
-
-def _bad(initial: float, found: float) -> bool:
-    return found > 0.98 * initial if found > _BAD else found > 1.2 * initial

@@ -28,7 +28,7 @@ CHEAP = {
     "clips": {"count": 6, "length": [0.4, 0.8]},
     "identify": {
         **{"iterations": 4, "profile_points": 3},
-        **{"cmaes_iterations": 4, "cmaes_starts": 1},
+        **{"cmaes_iterations": 4},
     },
 }
 

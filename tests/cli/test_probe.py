@@ -14,8 +14,8 @@ from amhe_cli.cli.main import run
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import Ending
 from amhe_cli.engine.bounds import Broken
-from amhe_cli.estimation.design.excitation import Waves
 from amhe_cli.estimation.design.probe import ActuatorProbe
+from amhe_cli.estimation.design.recipes import Recipe
 from amhe_cli.logs import read_metadata, survey
 from amhe_cli.report.numbers import percent
 from amhe_cli.robots.go1.probing.motions import STEADY
@@ -98,8 +98,8 @@ def test_a_plants_step_need_not_divide_the_commands_period() -> None:
     plant.write_text(text.replace('timestep="0.002"', 'timestep="0.012"'))
     assert run([*PENDULUM, "--plant", str(plant), "-o", "probe"]) == 0
     (commands,) = (t for t in survey(Path("probe/probe.mcap")).topics if "command" in t.name)
-    assert commands.count == pytest.approx(150, abs=1)
-    assert commands.rate == pytest.approx(50.0, rel=0.3), "a step of 12 ms takes each when it can"
+    assert commands.count == pytest.approx(250, abs=1)
+    assert commands.rate == pytest.approx(83.0, rel=0.3), "a step of 12 ms takes each when it can"
     first, last = commands.first_ns["header"], commands.last_ns["header"]
     assert 1e-9 * (last - first) == pytest.approx(3.0, abs=0.04)
 
@@ -142,7 +142,7 @@ def test_a_recipe_writes_commands_for_a_robots_own_program(capsys) -> None:
 def test_plain_motion_that_cannot_be_done_is_no_number(monkeypatch, capsys) -> None:
     information = ActuatorProbe._information
 
-    def only_quick(self: ActuatorProbe, one: Waves, draws: FloatArray) -> FloatArray | Broken:
+    def only_quick(self: ActuatorProbe, one: Recipe, draws: FloatArray) -> FloatArray | Broken:
         return Broken("no room") if one.name == "slow sine" else information(self, one, draws)
 
     monkeypatch.setattr(ActuatorProbe, "_information", only_quick)

@@ -2,8 +2,6 @@
 
 import json
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -300,38 +298,3 @@ def test_a_search_cut_short_says_so_and_widens(pendulum, swing, caplog):
     assert "stopped before it settled" in caplog.text
     for parameter, truth in zip(result.parameters, TRUTH, strict=True):
         assert abs(parameter.estimate - truth) < 4.0 * parameter.sd
-
-
-def test_a_rescue_gives_back_nothing_worse(pendulum, swing):
-    """CMA-ES called after a finished search starts from what that found, and is cut short at once."""
-    from amhe_cli.estimation.identification import _pose
-    from amhe_cli.estimation.offline import cma, search
-
-    problem, _ = _pose(pendulum, [swing(3.0)], None, IdentifyOptions())
-    z = pendulum.space.z_of(TRUTH)
-    after = replace(search.start(problem), z=z)
-    state = cma.advance(problem, cma.start(problem, 2, after))
-    np.testing.assert_array_equal(state.z, z)
-
-
-@pytest.mark.parametrize(
-    ("initial", "found", "bad"),
-    [
-        (1.30, 1.38, False),  # the prior was right: a search cannot beat it, and scatters
-        (1.3, 1.7, True),
-        (60.0, 59.5, True),
-        (60.0, 1.2, False),
-        (60.0, 30.0, False),  # bad, and on its way
-    ],
-)
-def test_another_search_is_for_bad_fits(monkeypatch, initial: float, found: float, bad: bool) -> None:
-    from amhe_cli.estimation import identification
-
-    recorded = SimpleNamespace(cost=found, initial_cost=initial)
-    search: Any = SimpleNamespace(z=None, shape=None, scale=1.0)
-    monkeypatch.setattr(identification, "with_own_values", lambda _, clips, *__: (clips, None))
-    monkeypatch.setattr(identification, "validate", lambda *_: recorded)
-    for fitted, rescued in (((initial, found), bad), ((1.0, 1.0), False)):
-        monkeypatch.setattr(identification, "fitted_costs", lambda *_, fitted=fitted: fitted)
-        rescue = identification._needs_rescue(Any, search, [])  # pyright: ignore[reportArgumentType]
-        assert rescue is rescued, "bad from fitted first states, too"

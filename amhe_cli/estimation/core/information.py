@@ -16,7 +16,7 @@ Offline identification, the moving-horizon update and the design of experiments 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -37,6 +37,9 @@ class Information:
     Args:
         matrix: Information matrices, shape (c, d, d); zero for a window that diverged.
         score: Gradients of half the weighted squared residuals and nuisances, shape (c, d).
+        curvature: Their derivatives, shape (c, d, d). A robust loss bends less than the parabola of its
+            weights, which is `matrix`, good for steps; where the loss is a parabola they are the same.
+        scatter: Covariances of the scores that the residuals show, sample by sample, shape (c, d, d).
         residual: Residuals at dz = 0 with the nuisances fitted, shape (c, R).
         nuisance: Best nuisances at dz = 0, shape (c, n).
         nuisance_gain: Slopes of the best nuisances by z, shape (c, n, d).
@@ -46,6 +49,8 @@ class Information:
 
     matrix: FloatArray
     score: FloatArray
+    curvature: FloatArray
+    scatter: FloatArray
     residual: FloatArray
     nuisance: FloatArray
     nuisance_gain: FloatArray
@@ -93,9 +98,12 @@ def marginalised(
     offset, gain = solved[..., 0], solved[..., 1:]
     fitted = residual - (offset[:, None] @ gx)[:, 0]
     slope = gz - gain.transpose(0, 2, 1) @ gx
+    matrix = wz @ slope.transpose(0, 2, 1)
     return Information(
-        matrix=wz @ slope.transpose(0, 2, 1),
+        matrix=matrix,
         score=(wz @ fitted[..., None])[..., 0],
+        curvature=matrix,
+        scatter=matrix,
         residual=fitted,
         nuisance=mean - offset,
         nuisance_gain=np.negative(gain),
@@ -121,19 +129,55 @@ def information(
     """
     cost, mean = slopes.cost, slopes.first.mean
     gz, gx = np.split(slopes.gain, [slopes.gain.shape[1] - mean.shape[1]], axis=1)
-    counted = _flat_mask(cost, channels or [True] * len(cost.clips.observed)) * slopes.completed[:, None]
+    counted = _of_residuals(cost, channels or [True] * len(cost.clips.observed)) * slopes.completed[:, None]
     noise = 1.0 if straight else 1.0 + slopes.bend
+
+    some = turns(len(mean), 8 * slopes.gain[:1].size)
 
     def fitted(residual: FloatArray, times: tuple[float, ...]) -> Information:
         weight = weights(cost, residual, times) / noise * counted
         arrays = slopes.residual, gz, gx, weight, mean
-        some = turns(len(mean), 8 * slopes.gain[:1].size)
         return _joined([marginalised(*(one[clips] for one in arrays)) for clips in some])
 
     # weights depend on the fitted residuals: a first fit gives them
     first = fitted(slopes.residual, (1.0,) * len(cost.clips.observed))
     times = channel_times(cost, first.residual, slopes.completed)
-    return fitted(first.residual, tuple(1.0 + repeats * (time - 1.0) for time in times))
+    times = tuple(1.0 + repeats * (time - 1.0) for time in times)
+    found = fitted(first.residual, times)
+    bent = found.weight * _bent(cost, first.residual)
+    each = _of_residuals(cost, times)
+    arrays = gz, gx, bent, found.weight * found.residual * np.sqrt(each)
+    both = [_sandwich(*(one[clips] for one in arrays)) for clips in some]
+    curvature, scatter = map(np.concatenate, zip(*both, strict=True))
+    return replace(found, curvature=curvature, scatter=scatter)
+
+
+def _sandwich(
+    gz: FloatArray, gx: FloatArray, bent: FloatArray, pull: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Derivative of the score of each window, its nuisances eliminated, and the score's covariance.
+
+    Args:
+        gz, gx: As in `marginalised`.
+        bent: Second derivative of half the loss by each residual, shape (c, R).
+        pull: First derivative, times the root of the number of neighbours that repeat it, shape (c, R).
+    """
+    bz, bx = gz * bent[:, None], gx * bent[:, None]
+    across = bx @ gz.transpose(0, 2, 1)
+    gain = np.linalg.solve(bx @ gx.transpose(0, 2, 1) + np.eye(gx.shape[1]), across).transpose(0, 2, 1)
+    slope = gz - gain @ gx
+    moved = slope * pull[:, None]
+    # nuisances err by their prior, of variance 1, and the score with them
+    return bz @ slope.transpose(0, 2, 1), moved @ moved.transpose(0, 2, 1) + gain @ gain.transpose(0, 2, 1)
+
+
+def _bent(cost: MatchingCost, residual: FloatArray) -> FloatArray:
+    """Second derivative of the robust loss over its weight, in the mean over directions, shape (c, R)."""
+    parts = []
+    for values in split(cost, residual):
+        share = np.einsum("csk,csk->cs", values, values) / cost.settings.huber**2
+        parts.append(np.repeat(1.0 - share / (1.0 + share) / values.shape[2], values.shape[2], axis=1))
+    return np.concatenate(parts, axis=1)
 
 
 def _joined(parts: Sequence[Information]) -> Information:
@@ -308,10 +352,7 @@ def split(cost: MatchingCost, residual: FloatArray) -> list[FloatArray]:
     return values
 
 
-def _flat_mask(cost: MatchingCost, channels: Sequence[bool]) -> FloatArray:
-    """1 for the residuals (R,) of the channels that count, 0 for others."""
-    parts = [
-        np.full(o.mask.shape[1] * o.width, float(on))
-        for o, on in zip(cost.clips.observed, channels, strict=True)
-    ]
-    return np.concatenate(parts)
+def _of_residuals(cost: MatchingCost, of_channels: Sequence[float]) -> FloatArray:
+    """A number of each channel for each of its residuals, shape (R,)."""
+    sizes = [observed.mask.shape[1] * observed.width for observed in cost.clips.observed]
+    return np.repeat(np.array(of_channels, dtype=np.float64), sizes)

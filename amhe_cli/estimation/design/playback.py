@@ -16,8 +16,8 @@ from amhe_cli.engine.states import home
 from amhe_cli.system.description.data import Channel
 from amhe_cli.system.system import System
 
-#: Time between two messages of measurements, and between two commands [s].
-MEASURED, COMMANDED = 0.01, 0.02
+#: Time between two messages of measurements [s].
+MEASURED = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +35,7 @@ class Playback:
     system: System
     engine: Engine
     dt: float
-    period: float = COMMANDED
+    period: float
     bounds: Bounds | None = None
 
     def times(self, seconds: float) -> FloatArray:

@@ -1,6 +1,6 @@
 """A probe: the excitation that reveals most about the parameters is found, and recorded as a log.
 
-`Probe` is what every kind of probe can do. `ActuatorProbe` drives a system's own actuators by multisines.
+`Probe` is what every kind of probe can do. `ActuatorProbe` drives a system's own actuators.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from amhe_cli.core.settings import Settings
 from amhe_cli.engine.bounds import Bounds, Broken, home_within
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.design.design import Accuracy, ProbePlan, accuracy, criterion, ensemble, parts_of
-from amhe_cli.estimation.design.excitation import Waves, candidates, driven_controls, slow_sine
 from amhe_cli.estimation.design.files import Excitation, write_log
 from amhe_cli.estimation.design.information import (
     active_in,
@@ -35,7 +34,7 @@ from amhe_cli.estimation.design.information import (
     information_where_it_points,
 )
 from amhe_cli.estimation.design.playback import Playback
-from amhe_cli.estimation.design.recipes import Leeway, leeway_of, plain, recipes
+from amhe_cli.estimation.design.recipes import Recipe, driven_controls, leeway_of, plain, recipes
 from amhe_cli.logs import read_log
 from amhe_cli.logs.messages.signal_writer import message_type
 from amhe_cli.system.model.elements import driven_joint
@@ -69,10 +68,9 @@ class ProbeOptions:
         schema: Class of the settings, for systems other than `go1_push`.
         fix, only, belief_anyway: See `System.starting_from`.
         engine: What computes the rollouts: one of `engine.open.KINDS`.
-        recipe: One of `recipes.RECIPES`, for actuators that are driven as they are; None: multisines within
-            the limits of the controls.
-        speed: With a recipe: largest speed of a joint [rad/s or m/s]; None: `probe.speed`.
-        rate: With a recipe: commands a second [Hz]; None: `probe.rate`.
+        recipe: One of `recipes.RECIPES`, for actuators that are driven as they are; None: multisines.
+        speed: Largest speed of a joint that is driven as it is [rad/s or m/s]; None: `probe.speed`.
+        rate: Commands a second [Hz]; None: `probe.rate`.
     """
 
     system: str | None = None
@@ -157,7 +155,7 @@ def achieved(system: System, path: Path, options: ProbeOptions) -> Accuracy | No
 
 
 class ActuatorProbe:
-    """A probe by the system's own actuators: the best of some random multisines.
+    """A probe by the system's own actuators: the best of some random recipes.
 
     Args:
         options: The request.
@@ -179,18 +177,14 @@ class ActuatorProbe:
             if not signal.columns:
                 message_type(signal)
         self._engine = open_engine(own, threads=options.threads, kind=options.engine)
-        self._model = Playback(own, self._engine, own.model.opt.timestep)
-        self._leeway: Leeway | None = None
-        if options.speed is not None and options.recipe is None:
-            raise ConfigError("`speed` is for a recipe: give one")
-        if options.recipe is not None:
-            usual = own.settings.probe
-            self._leeway = leeway_of(own, self._controls, options.speed or usual.speed)
-            bounds = Bounds(own, tuple(self._controls.actuators.tolist()), self._leeway.fastest)
-            self._model = replace(self._model, period=1.0 / (options.rate or usual.rate), bounds=bounds)
-        self._plant = (
-            self._model if options.plant is None else _other_plant(options, own, Path(options.plant))
-        )
+        usual = own.settings.probe
+        self._leeway = leeway_of(own, self._controls, options.speed or usual.speed)
+        bounds = Bounds(own, tuple(self._controls.actuators.tolist()), self._leeway.fastest)
+        period = 1.0 / (options.rate or usual.rate)
+        self._model = Playback(own, self._engine, own.model.opt.timestep, period, bounds)
+        self._plant = self._model
+        if options.plant is not None:
+            self._plant = _other_plant(options, own, Path(options.plant), period)
         self._truth = truth
 
     def design(self, say: Say) -> ProbePlan:
@@ -212,8 +206,7 @@ class ActuatorProbe:
                 tried[number], own = less, self._information(less, draws)
             found.append(None if isinstance(own, Broken) else own)
         values = [-np.inf if own is None else criterion(own, space.prior_precision) for own in found]
-        first = 0 if self._leeway is None else 1  # whoever asks for a recipe gets no plain motion
-        best = first + int(np.argmax(values[first:]))
+        best = 1 + int(np.argmax(values[1:]))
         chosen, simple = found[best], found[0]
         if chosen is None:
             raise ConfigError(f"{self.system.name}: {nothing_left(broken)}")
@@ -259,15 +252,12 @@ class ActuatorProbe:
         return Ending()
 
     @cached_property
-    def _motions(self) -> Sequence[Waves]:
-        """All excitations to choose from, the plain one first."""
-        options, limits = self._options, (self._controls.rest, self._controls.lower, self._controls.upper)
-        count = self.system.settings.probe.candidates
-        if self._leeway is not None and options.recipe is not None:
-            return [plain(self._leeway), *recipes(options.recipe, self._leeway, count, options.seed)]
-        return [slow_sine(*limits), *candidates(*limits, count, options.rng(1))]
+    def _motions(self) -> Sequence[Recipe]:
+        """All excitations to choose from, after the plain one."""
+        kind, count = self._options.recipe or "multisine", self.system.settings.probe.candidates
+        return [plain(self._leeway), *recipes(kind, self._leeway, count, self._options.seed)]
 
-    def _information(self, one: Waves, draws: FloatArray) -> FloatArray | Broken:
+    def _information(self, one: Recipe, draws: FloatArray) -> FloatArray | Broken:
         """Information on z for each draw, shape (e, d, d), or what one of them breaks."""
         system, found, active = self.system, [], None
         logs = self._played(self._model, one, system.space.theta_of(draws), 2)
@@ -283,7 +273,7 @@ class ActuatorProbe:
             found.append(matrix)
         return np.stack(found)
 
-    def _played(self, playback: Playback, one: Waves, theta: FloatArray, place: int) -> list[Log | Broken]:
+    def _played(self, playback: Playback, one: Recipe, theta: FloatArray, place: int) -> list[Log | Broken]:
         """The logs of plants with parameters theta (p, d)."""
         swing = one.at(playback.times(self._options.seconds))
         inputs = np.tile(self._controls.home, (len(swing), 1))
@@ -301,7 +291,7 @@ def nothing_left(broken: Counter[Broken]) -> str:
     return f"every excitation that was tried breaks a bound: {'; '.join(usual)}"
 
 
-def _other_plant(options: ProbeOptions, own: System, plant: Path) -> Playback:
+def _other_plant(options: ProbeOptions, own: System, plant: Path, period: float) -> Playback:
     """Another model with the same joints and actuators, with its own parameters."""
     assert own.folder is not None, "only systems with a folder are probed by another plant"
     try:
@@ -312,4 +302,4 @@ def _other_plant(options: ProbeOptions, own: System, plant: Path) -> Playback:
     model = compiled(system.spec)
     unedited = replace(system, edits=ModelEdits(model, own.space, ()))
     engine = open_engine(unedited, threads=options.threads, kind=options.engine, model=model)
-    return Playback(replace(system, edits=unedited.edits), engine, model.opt.timestep)
+    return Playback(replace(system, edits=unedited.edits), engine, model.opt.timestep, period)

@@ -9,12 +9,20 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.errors import ConfigError, one_of
-from amhe_cli.estimation.design.excitation import FADE, LOWEST, SHARE, SINES, DrivenControls
+from amhe_cli.engine.states import home
+from amhe_cli.system.model.couplings import floats
 from amhe_cli.system.model.elements import commanded
 from amhe_cli.system.system import System
 
-#: Slowest and fastest frequency of a chirp [Hz], and the fastest of a multisine.
-CHIRP, SINE = (0.1, 10.0), 5.0
+#: Slowest and fastest frequency of a chirp [Hz].
+CHIRP = 0.1, 10.0
+#: Slowest and fastest sine of a multisine [Hz], and their number: slow ones show gravity and friction, fast
+#: ones inertia.
+LOWEST, HIGHEST, SINES = 0.15, 5.0, 6
+#: Largest share of a command's range that is used.
+SHARE = 0.9
+#: Shortest time over which a motion fades in from rest, and out [s].
+FADE = 0.5
 #: Shortest and longest time that a step is held [s].
 HELD = (0.3, 1.2)
 #: Speed of a sweep, as a share of the largest speed.
@@ -25,6 +33,66 @@ HINGE, SLIDE = np.pi, 0.5
 _PACE = 0.8
 #: Factor on the share of the leeway, until nothing is broken, and the least share.
 _LESS, _LEAST = 0.7, 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrivenControls:
+    """The controls that a system's signals command.
+
+    Args:
+        columns: Columns of the controls in the engine's input vector, shape (n,).
+        actuators: Rows of their actuators, shape (n,).
+        rest: Values of the controls at the home state, shape (n,).
+        lower, upper: Limits of the controls, shape (n,).
+        home: The whole input vector at the home state, shape (nu,).
+    """
+
+    columns: IntArray
+    actuators: IntArray
+    rest: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    home: FloatArray
+
+
+def driven_controls(system: System) -> DrivenControls:
+    """The controls that a system's signals command.
+
+    Raises:
+        ConfigError: There are none, one has no limits, or one moves a free body.
+    """
+    model = system.model
+    columns = np.array([c for i in system.inputs if i.delayed for c in i.columns], dtype=np.int64)
+    if not columns.size:
+        raise ConfigError(f"{system.name}: no signal commands an actuator, so there is nothing to drive")
+    # controls stand first in the input vector: a column is the address of a control
+    rows = [int(np.flatnonzero(model.actuator_ctrladr == column)[0]) for column in columns]
+    limits = np.array([_limits(system, row) for row in rows])
+    for row, limit in zip(rows, limits, strict=True):
+        name = model.actuator(row).name
+        if not np.isfinite(limit).all():
+            raise ConfigError(
+                f"{system.name}: give actuator {name!r} a ctrlrange, or its joint a range: a probe "
+                f"stays within it"
+            )
+        if floats(model, int(model.actuator_trnid[row, 0])):
+            raise ConfigError(
+                f"{system.name}: actuator {name!r} moves a body that nothing holds: a robot on legs needs a "
+                f"controller, which only go1_push has"
+            )
+    _, rest = home(model, system.keyframe, system.input_spec)
+    return DrivenControls(columns, np.array(rows), rest[columns], limits[:, 0], limits[:, 1], rest)
+
+
+def _limits(system: System, actuator: int) -> FloatArray:
+    """Limits of a control (2,); of a position servo without any, those of its joint."""
+    model = system.model
+    joint = int(model.actuator_trnid[actuator, 0])
+    if model.actuator_ctrllimited[actuator]:
+        return model.actuator_ctrlrange[actuator]
+    if commanded(model, actuator) == "position" and model.jnt_limited[joint]:
+        return model.jnt_range[joint]
+    return np.full(2, np.nan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,7 +166,7 @@ class Recipe:
         return f"within the limits of joints, speed and force ({shares} of the leeway)"
 
     def smaller(self, joint: int | None) -> Recipe | None:
-        """See `Waves`."""
+        """The same with less of a joint's motion, or of all joints'; None where there is nothing less."""
         less = self.leeway.joints == joint
         share = np.where(less | ~less.any(), _LESS * self.share, self.share)
         return replace(self, share=share) if (share > _LEAST).all() else None
@@ -166,7 +234,7 @@ def _multisine(
     times: FloatArray, size: FloatArray, speed: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
     """Sums of sines, all of them smaller where they would be too fast."""
-    rate = 2.0 * np.pi * np.geomspace(LOWEST, SINE, SINES)
+    rate = 2.0 * np.pi * np.geomspace(LOWEST, HIGHEST, SINES)
     weight = rng.dirichlet(np.ones(SINES), size=size.size)
     phase = rng.uniform(0.0, 2.0 * np.pi, (size.size, SINES))
     fastest = np.maximum(size * (weight * rate).sum(axis=1), 1e-12)

@@ -131,8 +131,8 @@ def _whole(state: SearchState | CmaState, problem: Problem) -> bool:
         arrays += [(np.array(entry.theta, dtype=np.float64), (d,))]
         arrays += [(np.array(numbers, dtype=np.float64).clip(-1e300, 1e300), (5,))]  # a cost may be infinite
     if isinstance(state, CmaState):
-        counts = (state.start, state.starts, state.number, state.generation)
-        sound = not np.isnan(state.best_value) and isinstance(state.done, bool)
+        counts = (state.number,)
+        sound = isinstance(state.done, bool)
         if state.memory:
             n = state.memory["_mean"].size
             shapes = ((n,), (n, n), (), (n,), (n,), ())  # the last one of MEMORY begins uninitialised

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +12,6 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.estimation.core.information import mean_squares, noise_scale
 from amhe_cli.estimation.core.result import Iteration
 from amhe_cli.estimation.offline.problem import Problem
-from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.matching.cost import quadratic_prior
 
 if TYPE_CHECKING:
@@ -28,68 +27,35 @@ class CmaState:
     """State of a CMA-ES search between two iterations; a checkpoint holds just this.
 
     Args:
-        start: Number of the current start, from 0.
-        starts: How many there are.
-        number: Iterations done, of all starts.
-        generation: Iterations done of this start.
-        memory: MEMORY of the current start's CMA; empty before its first generation.
-        best_value: Cost of z on all clips; inf before the first start is finished.
-        z: Best of the finished starts and of the search before them; else the mean of the first start. It is
-            the result if the search is stopped here, shape (d,).
+        number: Iterations done.
+        memory: MEMORY of the CMA; empty before its first generation.
+        z: Its mean, shape (d,).
         scale: Channel -> residual sd over declared noise sd.
         record: One entry an iteration.
         done: Whether the search has finished.
     """
 
-    start: int
-    starts: int
     number: int
-    generation: int
     memory: Mapping[str, FloatArray]
-    best_value: float
     z: FloatArray
     scale: Mapping[str, float] = field(default_factory=dict)
     record: tuple[Iteration, ...] = ()
     done: bool = False
 
 
-def start(problem: Problem, starts: int, after: SearchState | None = None) -> CmaState:
-    """State before the first generation.
-
-    Args:
-        problem: The problem.
-        starts: Number of starts.
-        after: A linearised search that failed: its record is continued, and its estimate is beaten or kept.
-    """
-    zero = np.zeros(len(problem.system.space))
-    state = CmaState(0, starts, 0, 0, {}, np.inf, zero)
-    if after is None:
-        return state
-    known = np.stack((after.z, zero))
-    values = _on_clips(problem, known)
-    best = int(np.argmin(values))
-    return replace(
-        state,
-        number=after.number,
-        record=after.record,
-        scale=after.scale,
-        z=known[best],
-        best_value=float(values[best]),
-    )
+def start(problem: Problem) -> CmaState:
+    """State before the first generation."""
+    return CmaState(0, {}, np.zeros(len(problem.system.space)))
 
 
 def total(problem: Problem, state: CmaState) -> int:
     """Expected number of iterations."""
-    return (
-        state.number
-        - state.generation
-        + (state.starts - state.start) * problem.settings.identify.cmaes_iterations
-    )
+    return problem.settings.identify.cmaes_iterations
 
 
 def advance(problem: Problem, state: CmaState) -> CmaState:
     """One generation: draw clips, sample candidates, and update the optimizer by their costs."""
-    rng = problem.rng(1, state.start, state.generation)
+    rng = problem.rng(1, 0, state.number)
     windows = problem.drawn(rng, problem.clip_count)
     cost = problem.cost(windows, state.scale)
     optimizer = _restored(problem, state, rng)
@@ -113,24 +79,22 @@ def advance(problem: Problem, state: CmaState) -> CmaState:
     squares = mean_squares(cost, residuals.flat[best], np.ones(len(windows), dtype=bool))
     entry = Iteration(
         number=state.number + 1,
-        method=f"cmaes, start {state.start + 1}",
+        method="cmaes",
         cost=float(cost.rescaled(residuals, declared)[best]),
         sigma=float(memory["_sigma"] * np.sqrt(np.diag(memory["_C"])).mean()),
         rollouts=residuals.completed.size,
         diverged=int((~residuals.completed).sum()),
         theta=tuple(float(t) for t in problem.system.space.theta_of(mean)),
     )
-    moved = replace(
-        state,
-        number=state.number + 1,
-        generation=state.generation + 1,
-        memory=memory,
-        z=mean if np.isinf(state.best_value) else state.z,
+    number = state.number + 1
+    return CmaState(
+        number,
+        memory,
+        z=mean,
         scale=noise_scale(squares, state.scale),
         record=(*state.record, entry),
+        done=number >= problem.settings.identify.cmaes_iterations or bool(optimizer.should_stop()),
     )
-    over = moved.generation >= problem.settings.identify.cmaes_iterations or optimizer.should_stop()
-    return _finish_start(problem, moved, mean) if over else moved
 
 
 def _restored(problem: Problem, state: CmaState, rng: np.random.Generator) -> CMA:
@@ -139,11 +103,8 @@ def _restored(problem: Problem, state: CmaState, rng: np.random.Generator) -> CM
 
     free = np.flatnonzero(problem.active)
     lower, upper = problem.system.space.bounds
-    mean = np.zeros(free.size)
-    if state.start:
-        mean = problem.rng(2, state.start).normal(0.0, 0.7, free.size)
     optimizer = CMA(
-        mean=np.clip(mean, lower[free] + 1e-9, upper[free] - 1e-9),
+        mean=np.clip(np.zeros(free.size), lower[free] + 1e-9, upper[free] - 1e-9),
         sigma=0.5,
         bounds=np.stack((lower[free], upper[free]), axis=1),
         seed=int(rng.integers(2**31)),
@@ -162,25 +123,3 @@ def restore(optimizer: CMA, memory: Mapping[str, FloatArray]) -> None:
     """Set MEMORY of a new optimizer; scalars keep the type that the package gave them."""
     for name, value in memory.items():
         setattr(optimizer, name, value if value.ndim else type(getattr(optimizer, name))(value))
-
-
-def _on_clips(problem: Problem, z: FloatArray) -> FloatArray:
-    """Cost of candidates (p, d) on all clips, with the prior, shape (p,), by which starts are compared."""
-    cost = problem.cost(problem.clips)
-    prior = quadratic_prior(z, np.zeros(z.shape[1]), problem.system.space.prior_precision)
-    return cost.costs(z) + prior / cost.clips.counts.sum()
-
-
-def _finish_start(problem: Problem, state: CmaState, mean: FloatArray) -> CmaState:
-    """End a start: keep its mean if that is better than the best so far."""
-    value = float(_on_clips(problem, mean[None])[0])
-    better = value < state.best_value
-    return replace(
-        state,
-        start=state.start + 1,
-        generation=0,
-        memory={},
-        z=mean if better else state.z,
-        best_value=min(value, state.best_value),
-        done=state.start + 1 >= state.starts,
-    )

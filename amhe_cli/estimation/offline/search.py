@@ -305,7 +305,7 @@ def _next_stage(state: SearchState, number: int, settled: bool, setting: Identif
 
 def _entry(problem: Problem, state: SearchState, taken: LineStep, found: Linearisation) -> Iteration:
     return Iteration(
-        number=state.number + 1,
+        number=len(state.record) + 1,
         method=f"linearised, {state.stage}",
         stage=state.stage,
         cost=taken.cost,

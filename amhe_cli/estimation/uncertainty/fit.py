@@ -30,9 +30,6 @@ from amhe_cli.estimation.offline.watch import Watch
 #: The last state of a search.
 Finding = SearchState | CmaState
 
-#: Clips that the model's own noise counts for against the scatter of the clips' scores, which is itself
-#: uncertain where there are few clips.
-NOISE_WORTH = 10.0
 #: Mean square of the bend, in noise variances, below which samples hardly bend.
 HARDLY = 0.1
 #: Most linearisations until the shape of the samples is that of the posterior.
@@ -96,9 +93,10 @@ def posterior(z: FloatArray, found: Information, weight: FloatArray, prior: Floa
     """Combine the clips' information with the prior of z.
 
     The scatter of the clips' scores replaces what white noise would give (Huber's sandwich with the clip as
-    the independent unit), shrunk towards the latter where there are few clips. At the estimate, scores are
+    the independent unit), shrunk towards the scatter of their samples as far as the clips are too few to tell
+    the two apart. At the estimate, scores are
     smaller than at the truth, since the fit has followed each clip a little: their mean square is
-    M_c - M_c H^-1 M_c and not M_c (Bell and McCaffrey 2002). What is missing of it is added.
+    B_c - B_c H^-1 M_c and not B_c (Bell and McCaffrey 2002). What is missing of it is added.
 
     Args:
         z: Where the clips were linearised, from the prior's mean, shape (d,).
@@ -107,14 +105,36 @@ def posterior(z: FloatArray, found: Information, weight: FloatArray, prior: Floa
         prior: Information of the prior, shape (d, d).
     """
     matrix = np.einsum("c,cij->ij", weight, found.matrix)
-    step, hessian = gauss_newton_step(matrix, np.einsum("c,ci->i", weight, found.score), prior, z)
+    step, _ = gauss_newton_step(matrix, np.einsum("c,ci->i", weight, found.score), prior, z)
+    hessian = np.einsum("c,cij->ij", weight, found.curvature) + prior
     score = found.score + np.einsum("cij,j->ci", found.matrix, step)
-    count = int((weight > 0.0).sum())
     centred = score - (weight[:, None] * score).sum(axis=0) / max(weight.sum(), 1e-300)
-    followed = found.matrix @ np.linalg.solve(hessian, found.matrix)
-    scatter = np.einsum("c,ci,cj->ij", weight, centred, centred) + np.einsum("c,cij->ij", weight, followed)
-    blended = (count * scatter + NOISE_WORTH * matrix) / (count + NOISE_WORTH)
-    return Posterior(step, hessian, blended, prior)
+    followed = found.scatter @ np.linalg.solve(hessian, found.curvature)
+    followed = 0.5 * (followed + followed.transpose(0, 2, 1))
+    between = np.einsum("c,ci,cj->ij", weight, centred, centred) + np.einsum("c,cij->ij", weight, followed)
+    # in coordinates in which the posterior is round
+    values, vectors = np.linalg.eigh(hessian)
+    to, back = vectors / np.sqrt(values), vectors * np.sqrt(values)
+    alone = to.T @ (weight[:, None, None] * found.scatter) @ to
+    both = _shrunk(to.T @ between @ to, alone)
+    return Posterior(step, hessian, back @ both @ back.T, prior)
+
+
+def _shrunk(between: FloatArray, alone: FloatArray) -> FloatArray:
+    """The scatter between clips, shrunk towards that within them (Ledoit and Wolf 2004), shape (d, d).
+
+    If both are the same, the former misses the latter by what chance makes of few clips, and says no more;
+    what it misses beyond that is real.
+
+    Args:
+        between: Scatter between c clips, shape (d, d).
+        alone: Scatter within each clip, whose sum is the same if clips scatter as their own residuals do,
+            shape (c, d, d).
+    """
+    within = alone.sum(axis=0)
+    chance = float((np.einsum("cii->c", alone) ** 2).sum() + (alone**2).sum())  # of normal scores
+    missed = float(((between - within) ** 2).sum())
+    return within + max(0.0, 1.0 - chance / max(missed, 1e-300)) * (between - within)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

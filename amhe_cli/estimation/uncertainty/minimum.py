@@ -1,7 +1,8 @@
 """Is there a second minimum? Descents from the prior's corners, on few clips.
 
 A search ends in the minimum that is nearest to the prior. Frictions that trade places, or a length of which
-the logs show the square, may have another one, and an interval around the first would hide it.
+the logs show the square, may have another one, and an interval around the first would hide it. If the other
+one is better, the search goes on from there.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from amhe_cli.estimation.core.information import gauss_newton_step, step_within
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.scored import scored
+from amhe_cli.estimation.offline.search import SearchState
+from amhe_cli.estimation.offline.watch import Watch
 from amhe_cli.estimation.uncertainty.fit import FinalFit, Finding
 from amhe_cli.estimation.uncertainty.ledger import Term
 from amhe_cli.matching.cost import MatchingCost
@@ -28,6 +31,8 @@ logger = logging.getLogger(__name__)
 
 #: Share of the search's rollouts that descents from the corners may take.
 SHARE = 0.15
+#: Probability of values whose -2 log posterior is higher by SURPRISE squared than that of others.
+EXCLUDED = 1.0 / (1.0 + np.exp(0.5 * SURPRISE**2))
 #: Clips that they fit, and most iterations of one of them.
 FEW, TURNS = 2, 6
 #: Distance of a corner from the prior's mean along each parameter, in prior sd, and how many are tried.
@@ -54,8 +59,13 @@ class Rival:
     costs: tuple[float, float]
 
     def term(self, z: FloatArray) -> Term:
-        """The error of an estimate z (d,), where these values may be meant."""
+        """The error of an estimate z (d,) where these values may be meant."""
         return Term("minimum", np.sqrt(self.share) * (self.z - z)[:, None])
+
+    def against(self, z: FloatArray) -> Rival | None:
+        """The estimate z (d,) whose place these values take; None where the logs exclude it then."""
+        share = 1.0 - self.share
+        return Rival(z, share, self.differs, self.costs[::-1]) if share > EXCLUDED else None
 
     def text(self, space: ParameterSpace, i: int) -> str:
         """The other value of one parameter, in words."""
@@ -64,7 +74,16 @@ class Rival:
         return f"another minimum explains the logs too: {value} (cost {cost} here)"
 
 
-def second_minimum(problem: Problem, finding: Finding, fit: FinalFit, covariance: FloatArray) -> Rival | None:
+def better(problem: Problem, finding: Finding, z: FloatArray, watch: Watch) -> SearchState:
+    """A search from values z (d,) that fit the logs better than those where the one before ended."""
+    state = replace(search.restart(problem, z), record=finding.record)
+    while not (state.done or watch.stopped):
+        state = search.advance(problem, state)
+        watch.saw(state.record[-1], search.total(problem, state))
+    return state
+
+
+def second_minimum(problem: Problem, finding: Finding, fit: FinalFit) -> Rival | None:
     """Other values that the logs allow, although the covariance of the estimate excludes them.
 
     Where contacts jitter, none are looked for.
@@ -73,11 +92,10 @@ def second_minimum(problem: Problem, finding: Finding, fit: FinalFit, covariance
         problem: The problem that was searched.
         finding: Where its search ended.
         fit: The linearisation there.
-        covariance: Posterior covariance of z, widened by all that is known to be wrong, shape (d, d).
     """
     if problem.rough:  # contacts that jitter make rises everywhere
         return None
-    part, space = _part(problem, fit), problem.system.space
+    part, space, covariance = _part(problem, fit), problem.system.space, fit.posterior.covariance
     cost = part.cost(part.clips)
     felt = np.any([acting(clip.log, problem.system.edits.space, space) for clip in part.clips], axis=0)
     starts, rollouts = _beyond_a_rise(cost, fit.z, _corners(problem))
@@ -96,8 +114,7 @@ def second_minimum(problem: Problem, finding: Finding, fit: FinalFit, covariance
         away = (end - fit.z) @ np.linalg.solve(known, end - fit.z)
         if away <= SURPRISE**2 or there > RISE * here:
             continue
-        if (rival := _confirmed(problem, fit, end, covariance)) is not None:
-            _report(space, fit.z, rival)
+        if (rival := _confirmed(problem, fit, end)) is not None:
             return rival
     return None
 
@@ -144,7 +161,7 @@ def _corners(problem: Problem) -> FloatArray:
     return problem.system.space.clip(corners)
 
 
-def _confirmed(problem: Problem, fit: FinalFit, z: FloatArray, covariance: FloatArray) -> Rival | None:
+def _confirmed(problem: Problem, fit: FinalFit, z: FloatArray) -> Rival | None:
     """Whether all clips, their first states fitted, allow a minimum near z (d,) as well as the estimate."""
     cost, prior = fit.slopes.cost, problem.system.space.prior_precision
     found = scored(problem, cost, z, fit.shape).information
@@ -152,7 +169,7 @@ def _confirmed(problem: Problem, fit: FinalFit, z: FloatArray, covariance: Float
     # a few clips have led to z: the minimum of all of them is a step away
     step = step_within(z, *gauss_newton_step(matrix, score, prior, z), problem.system.space)
     places = fit.z, problem.system.space.clip(z + step)
-    differs = np.abs(places[1] - places[0]) > SURPRISE * np.sqrt(covariance.diagonal())
+    differs = np.abs(places[1] - places[0]) > SURPRISE * fit.posterior.sd
     both = [scored(problem, cost, place, fit.shape) for place in places]
     misfits = [np.where(fit.weight > 0.0, one.misfit(fit.times), 0.0) @ fit.weight for one in both]
     here, there = (misfit + place @ prior @ place for misfit, place in zip(misfits, places, strict=True))
@@ -163,7 +180,7 @@ def _confirmed(problem: Problem, fit: FinalFit, z: FloatArray, covariance: Float
     return Rival(places[1], float(1.0 / (1.0 + np.exp(0.5 * (there - here)))), differs, (costs[0], costs[1]))
 
 
-def _report(space: ParameterSpace, z: FloatArray, rival: Rival) -> None:
+def report_minima(space: ParameterSpace, z: FloatArray, rival: Rival) -> None:
     """Warn of two minima, with the values in which they differ."""
     both = []
     for theta, cost in zip((space.theta_of(z), space.theta_of(rival.z)), rival.costs, strict=True):

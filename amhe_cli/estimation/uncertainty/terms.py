@@ -57,7 +57,7 @@ def repeats(space: ParameterSpace, fit: FinalFit) -> Term:
     """
     before = space.loose_precision
     alike = information(fit.slopes, repeats=float(fit.weight.sum()))
-    once = before + np.einsum("c,cij->ij", fit.weight, alike.matrix)
+    once = before + np.einsum("c,cij->ij", fit.weight, alike.curvature)
     each = before + fit.posterior.hessian - fit.posterior.prior
     return term_of("repeats", np.linalg.inv(once) - np.linalg.inv(each), shared=True)
 

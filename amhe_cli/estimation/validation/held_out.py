@@ -7,8 +7,9 @@ leaves noise.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,9 +23,7 @@ from amhe_cli.estimation.core.result import HeldOut, SpanError
 from amhe_cli.estimation.offline.clips import ClipPool
 from amhe_cli.estimation.offline.problem import FEWEST, Problem
 from amhe_cli.estimation.offline.scored import Scored, fitted_errors, scored
-from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.uncertainty.fit import FinalFit, Finding
-from amhe_cli.estimation.uncertainty.misfit import WHITE
 from amhe_cli.matching.cost import MatchingCost, measures
 from amhe_cli.matching.windows import Observed
 
@@ -111,43 +110,15 @@ def validate(problem: Problem, windows: Sequence[Window], finding: Finding) -> H
     )
 
 
-def fitted_costs(problem: Problem, windows: Sequence[Window], finding: SearchState) -> tuple[float, float]:
-    """Costs of held-out clips before and now, their first states fitted, in units of the declared noise.
+def judge(
+    problem: Problem, windows: Sequence[Window], fit: FinalFit, known: HeldOut
+) -> tuple[HeldOut, tuple[str, ...]]:
+    """Score held-out clips as fitted ones are, and compare them with those, and with the values before.
 
-    White residuals are noise, however little was declared: such channels count by the noise that they show.
+    Returns:
+        What was known of them with the costs and errors from fitted first states, and what speaks against
+        every value, in words.
     """
-    cost, found = problem.cost(windows, finding.scale), []
-    for z in (np.zeros_like(finding.z), finding.z):
-        one = scored(problem, cost, z, finding.shape)
-        keys = (observed.channel.key for observed in cost.clips.observed)
-        noise = [
-            1.0 if time < WHITE else finding.scale.get(key, 1.0)
-            for key, time in zip(keys, one.times, strict=True)
-        ]
-        found.append(float(cost.rescaled(one.residuals, noise)[0]))
-    return found[0], found[1]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Judged:
-    """Held-out clips with their first states fitted.
-
-    Args:
-        cost, initial_cost: In units of the declared noise.
-        noise_scale: Channel -> residual sd over declared noise sd.
-        errors: Errors over spans of time.
-        against: What speaks against every value, in words.
-    """
-
-    cost: float
-    initial_cost: float
-    noise_scale: dict[str, float]
-    errors: tuple[SpanError, ...]
-    against: tuple[str, ...]
-
-
-def judge(problem: Problem, windows: Sequence[Window], fit: FinalFit) -> Judged:
-    """Score held-out clips as fitted ones are, and compare them with those, and with the values before."""
     cost, places = problem.cost(windows, fit.scale), (fit.z, np.zeros_like(fit.z))
     now, before = (scored(problem, cost, z, fit.shape) for z in places)
     declared = [fit.scale.get(o.channel.key, 1.0) for o in cost.clips.observed]
@@ -176,7 +147,14 @@ def judge(problem: Problem, windows: Sequence[Window], fit: FinalFit) -> Judged:
                 f"the model misses {key} of held-out clips {ratio:.1f} times as much as of fitted ones"
             )
     spans = tuple(_spans(problem, cost, places, (now, before)))
-    return Judged(costs[0], costs[1], scale, spans, tuple(against))
+    if problem.system.match == "effort":  # there are no first states, and each instant stands for itself
+        whole = {span.channel: span for span in reversed(spans)}
+        spans = tuple(replace(whole[key], identified_fitted=math.nan) for key in sorted(whole))
+        costs = [math.nan, math.nan]
+    judged = replace(
+        known, fitted_cost=costs[0], initial_fitted_cost=costs[1], noise_scale=scale, errors=spans
+    )
+    return judged, tuple(against)
 
 
 def _fitted_clips(problem: Problem, windows: Sequence[Window]) -> list[Window]:

@@ -14,9 +14,8 @@ import pytest
 import amhe_cli as amhe
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.engine.bounds import Bounds, Broken
-from amhe_cli.estimation.design.excitation import driven_controls
 from amhe_cli.estimation.design.probe import ActuatorProbe, ProbeOptions, nothing_left
-from amhe_cli.estimation.design.recipes import RECIPES, Leeway, leeway_of, recipes
+from amhe_cli.estimation.design.recipes import RECIPES, Leeway, driven_controls, leeway_of, recipes
 from amhe_cli.logs import read_log
 from amhe_cli.system.system import System
 
@@ -184,15 +183,6 @@ def test_commands_act_late_in_the_rehearsal_where_they_do_in_the_model() -> None
     first, second = (log["joints.position"].values for log in (prompt, late))
     np.testing.assert_allclose(second[10:], first[:-10], atol=0.006)
     np.testing.assert_array_equal(prompt["command.position"].values, late["command.position"].values)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [({"speed": 1.0}, "`speed` is for a recipe"), ({"excitation": "x"}, "`excitation` needs a `recipe`")],
-)
-def test_what_only_a_recipe_has_is_refused_without_one(arguments: dict[str, Any], text: str) -> None:
-    with pytest.raises(ConfigError, match=text):
-        amhe.probe(arm(), threads=1, **arguments)
 
 
 @pytest.mark.medium

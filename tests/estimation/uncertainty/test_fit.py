@@ -10,7 +10,7 @@ import pytest
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.estimation.core.agreement import difference
-from amhe_cli.estimation.core.information import Information, marginalised
+from amhe_cli.estimation.core.information import Information, information, marginalised
 from amhe_cli.estimation.uncertainty.fit import doubled_prior, posterior
 
 TRUTH = np.array([0.5, -0.3])
@@ -97,3 +97,30 @@ def test_independent_data_disagree_by_no_more_than_their_sd_says() -> None:
         chance = difference((one.noise, other.noise), (one.pull, other.pull), np.eye(2))
         ratios.append((one.step - other.step) / np.sqrt(chance.diagonal()))
     assert np.std(ratios, axis=0) == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("width", [1, 6])
+def test_estimates_under_a_robust_loss_scatter_as_their_covariance_says(width: int) -> None:
+    """With few clips, errors of their own, and a loss that counts the norm of so many columns."""
+    unknowns, clips, samples, errors = 4, 12, 40, []
+    for seed in range(150):
+        rng = np.random.default_rng(seed)
+        gz, gx = (rng.standard_normal((clips, n, samples * width)) for n in (unknowns, 2))
+        noise = rng.standard_normal((clips, samples * width))
+        noise += np.einsum("cx,cxr->cr", rng.standard_normal((clips, 2)), gx)
+        observed = SimpleNamespace(mask=np.ones((clips, samples), dtype=bool), width=width)
+        cost = SimpleNamespace(
+            clips=SimpleNamespace(observed=[observed]), settings=SimpleNamespace(huber=3.0)
+        )
+        z, nothing = np.zeros(unknowns), np.zeros((unknowns, unknowns))
+        for _ in range(4):
+            slopes: Any = SimpleNamespace(
+                cost=cost, residual=noise + np.einsum("d,cdr->cr", z, gz),
+                gain=np.concatenate((gz, gx), axis=1), bend=0.0,
+                first=SimpleNamespace(mean=np.zeros((clips, 2))), completed=np.ones(clips, dtype=bool),
+            )  # fmt: skip
+            result = posterior(z, information(slopes), np.ones(clips), nothing)
+            z = z + result.step
+        errors.append(z @ np.linalg.solve(result.covariance, z) / unknowns)
+    assert np.mean(errors) == pytest.approx(1.0, abs=0.1)

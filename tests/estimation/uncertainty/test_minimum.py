@@ -21,15 +21,15 @@ XML = f"""<mujoco><option timestep="{STEP}" integrator="implicitfast"/><worldbod
   <actuator><position name="drive" joint="drive" kp="3"/></actuator></mujoco>"""
 
 
-def wheel(lowest: float) -> amhe.System:
-    """The load's place is unknown, on either side of the axis or on one."""
+def wheel(lowest: float, tilt: float = 0.0) -> amhe.System:
+    """The load's place is unknown, on either side of the axis or on one; a tilt tells them apart."""
     place = {
         "nominal": 0.03, "bounds": [lowest, 0.3], "scale": "linear", "prior_sd": 0.1,
         "targets": [{"body": "load", "set": "center_of_mass", "axis": "x"}],
     }  # fmt: skip
     damping = {"scale": "log", "prior_sd": 0.5, "targets": [{"joint": "drive", "set": "damping"}]}
     return amhe.System.from_model(
-        mujoco.MjSpec.from_string(XML),
+        mujoco.MjSpec.from_string(XML.replace('axis="0 0 1"', f'axis="0 {tilt} 1"')),
         parameters={"place": place, "damping": damping},
         signals={
             "joints": {"joints": ["drive"], "noise": {"position": NOISE}},
@@ -43,10 +43,10 @@ def wheel(lowest: float) -> amhe.System:
     )
 
 
-def identified(lowest: float) -> Identification:
+def identified(lowest: float, true: float = TRUE, tilt: float = 0.0) -> Identification:
     """The result of a log of a sweep."""
-    system, rng = wheel(lowest), np.random.default_rng(0)
-    model = system.edits.apply(system.model, np.array([TRUE, 0.07]))
+    system, rng = wheel(lowest, tilt), np.random.default_rng(0)
+    model = system.edits.apply(system.model, np.array([true, 0.07]))
     data, clock = mujoco.MjData(model), STEP * np.arange(1600)
     command = 0.4 * np.sin(2.0 * np.pi * (0.5 + 0.25 * clock) * clock)
     position = np.empty_like(clock)
@@ -79,6 +79,15 @@ def test_one_side_alone_is_identified(caplog: pytest.LogCaptureFixture) -> None:
     place, damping = identified(0.0).parameters
     assert (place.verdict, damping.verdict) == ("identified", "identified")
     assert not any("minima" in text for text in caplog.messages)
+
+
+@pytest.mark.medium
+def test_the_search_goes_on_from_the_better_minimum(caplog: pytest.LogCaptureFixture) -> None:
+    """The prior leads to the wrong side, where the tilt costs a few noise sd."""
+    place, _ = identified(-0.3, -TRUE, tilt=0.0003).parameters
+    assert place.estimate == pytest.approx(-TRUE, rel=0.01)
+    (warning,) = (text for text in caplog.messages if "minima" in text)
+    assert warning.startswith("two minima explain the logs: place -0.12 (cost ")
 
 
 def test_looking_for_it_takes_a_tenth_of_the_rollouts(monkeypatch: pytest.MonkeyPatch) -> None:
