@@ -163,12 +163,17 @@ def _sandwich(
         pull: First derivative, times the root of the number of neighbours that repeat it, shape (c, R).
     """
     bz, bx = gz * bent[:, None], gx * bent[:, None]
-    across = bx @ gz.transpose(0, 2, 1)
-    gain = np.linalg.solve(bx @ gx.transpose(0, 2, 1) + np.eye(gx.shape[1]), across).transpose(0, 2, 1)
+    inverse = np.linalg.inv(bx @ gx.transpose(0, 2, 1) + np.eye(gx.shape[1]))
+    gain = (inverse @ bx @ gz.transpose(0, 2, 1)).transpose(0, 2, 1)
     slope = gz - gain @ gx
     moved = slope * pull[:, None]
-    # nuisances err by their prior, of variance 1, and the score with them
-    return bz @ slope.transpose(0, 2, 1), moved @ moved.transpose(0, 2, 1) + gain @ gain.transpose(0, 2, 1)
+    # each nuisance that was fitted has taken its part of the residuals (MacKinnon and White 1985)
+    count, taken = (pull != 0.0).sum(axis=1), gx.shape[1] - np.einsum("cii->c", inverse)
+    left = (count / np.maximum(count - taken, 1.0))[:, None, None]
+    # and errs by its prior, of variance 1, and the score with it
+    return bz @ slope.transpose(0, 2, 1), left * moved @ moved.transpose(0, 2, 1) + gain @ gain.transpose(
+        0, 2, 1
+    )
 
 
 def _bent(cost: MatchingCost, residual: FloatArray) -> FloatArray:
