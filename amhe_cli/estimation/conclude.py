@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief import belief_of
 from amhe_cli.core.errors import NOTE
 from amhe_cli.core.log import Window
+from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.statistics import part_of
 from amhe_cli.estimation.core.result import ClipCount, HeldOut, Identification, Missing
 from amhe_cli.estimation.explain.explain import explain
@@ -33,6 +34,7 @@ from amhe_cli.estimation.uncertainty.fit import (
     doubled_step,
     final_fit,
 )
+from amhe_cli.estimation.uncertainty.hierarchy import Lines, with_common_means
 from amhe_cli.estimation.uncertainty.ledger import LEAST, Ledger
 from amhe_cli.estimation.uncertainty.minimum import SHARE, Rival, better, report_minima, second_minimum
 from amhe_cli.estimation.uncertainty.misfit import (
@@ -59,7 +61,9 @@ PARTS, RESERVE = 10, 3
 STEPS = 2
 
 
-def conclude(problem: Problem, finding: Finding, validation: list[Window], watch: Watch) -> Identification:
+def conclude(
+    problem: Problem, finding: Finding, validation: list[Window], watch: Watch, model: ParameterSpace
+) -> Identification:
     """All results of a finished, or interrupted, search.
 
     Args:
@@ -69,6 +73,7 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
         watch: Shows progress, and decides for which of the slow checks there is time: held-out clips from
             fitted first states, the comparison of the logs' halves, what rests on assumed values, a second
             minimum, profiles. After an interruption there is for none.
+        model: Parameters of the model, with their prior; logs may have values of their own of some.
     """
     system = problem.system
     watch.enter("covariance")
@@ -79,18 +84,11 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
     held_out, misfit = _judged(problem, finding, fit, validation, watch)
     missing = _missing(problem, finding, fit, watch)
     ledger, exact = _ledger(problem, finding, fit, rival, watch)
-    evidence = Evidence(
-        z=finding.z,
-        ledger=ledger,
-        active=problem.active,
-        idle=problem.idle,
-        misfit=misfit,
-        blamed=blamed(system, fit) if finding.done else {},
-        profiles=_profiles(problem, fit, ledger.sd, watch),
-        rival=rival,
-        doubled_prior=doubled_prior(fit, problem.active),
-        rough=problem.rough,
-    )
+    drawn = _profiles(problem, fit, ledger.sd, watch)
+    lines = with_common_means(system.space, model, finding.z, ledger)
+    space, covariance = lines.space, lines.ledger.covariance
+    against = blamed(system, fit) if finding.done else {}
+    evidence = _evidence(problem, fit, lines, misfit, against, drawn, rival)
     _report_budget(system, ledger)
     watch.report_skipped()
     watch.enter("predictions for the report")
@@ -98,14 +96,20 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
     return Identification(
         system=system.name,
         method="cmaes" if isinstance(finding, CmaState) else "linearised",
-        parameters=verdicts(system.space, evidence),
+        parameters=verdicts(space, evidence),
         belief=belief_of(
-            system, finding.z, ledger.covariance, systematic=part_of(ledger.covariance, ledger.shared)
+            replace(system, space=space),
+            lines.z,
+            covariance + np.diag(lines.next_log),
+            systematic=part_of(covariance, lines.ledger.shared),
         ),
         correlations=evidence.correlations,
-        combinations=combinations(system.space, ledger.covariance, problem.active),
+        combinations=combinations(space, covariance, evidence.active),
+        spreads=lines.spreads,
         held_out=held_out,
-        iterations=finding.record,
+        iterations=tuple(
+            replace(one, theta=tuple(lines.of(np.array(one.theta)).tolist())) for one in finding.record
+        ),
         rollouts=sum(i.rollouts for i in finding.record),
         diverged=sum(i.diverged for i in finding.record),
         clips=ClipCount(
@@ -126,6 +130,34 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
         missing=missing,
         determined=told(problem, fit, finding.z, ledger.covariance, held_out) if effort else (),
         information=fit.posterior.hessian - fit.posterior.prior,
+    )
+
+
+def _evidence(
+    problem: Problem,
+    fit: FinalFit,
+    lines: Lines,
+    misfit: Sequence[str],
+    against: Mapping[str, tuple[str, ...]],
+    drawn: Mapping[int, tuple[FloatArray, FloatArray]],
+    rival: Rival | None,
+) -> Evidence:
+    """What verdicts are read from, for each line; of a common mean the same is said as of its first value."""
+    moves, alone = doubled_prior(fit, problem.active), [len(rows) == 1 for rows in lines.rows]
+    firsts = [rows[0] for rows in lines.rows]
+    names = {name: problem.system.space.names[i] for name, i in zip(lines.space.names, firsts, strict=True)}
+    return Evidence(
+        z=lines.z,
+        ledger=lines.ledger,
+        active=lines.of(problem.active) > 0.0,
+        idle={name: problem.idle[one] for name, one in names.items() if one in problem.idle},
+        misfit=misfit,
+        blamed={name: against[one] for name, one in names.items() if one in against},
+        profiles={i: drawn[k] for i, k in enumerate(firsts) if alone[i] and k in drawn},
+        rival=rival and replace(rival, z=lines.of(rival.z), differs=lines.of(rival.differs) > 0.0),
+        doubled_prior=np.where(alone, moves[firsts], np.nan),
+        rough=problem.rough,
+        means=lines.means,
     )
 
 

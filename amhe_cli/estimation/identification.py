@@ -28,7 +28,6 @@ from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.offline.watch import OnIteration, Watch
 from amhe_cli.estimation.uncertainty.fit import Finding
-from amhe_cli.estimation.uncertainty.hierarchy import with_common_means
 from amhe_cli.matching.motion import velocity_lag
 from amhe_cli.system.system import System
 
@@ -103,14 +102,14 @@ class Search:
         problem, finding: The problem and where the search ended.
         validation: Clips that were not fitted.
         watch: Shows progress of what follows, and has the time that is left.
-        unknowns: The system's own unknowns, a value of each log's own being one.
+        model: Parameters of the model, with their prior.
     """
 
     problem: Problem
     finding: Finding
     validation: list[Window]
     watch: Watch
-    unknowns: ParameterSpace
+    model: ParameterSpace
 
 
 def searched_for(
@@ -160,12 +159,11 @@ def concluded(search: Search) -> Identification:
     """What a search found, and how sure that is."""
     problem, watch = search.problem, search.watch
     try:
-        found = conclude(problem, search.finding, search.validation, watch)
+        return conclude(problem, search.finding, search.validation, watch, search.model)
     except KeyboardInterrupt:
         logger.warning("interrupted while the result was examined: its checks are not complete")
         watch.interrupted = True
-        found = conclude(problem, search.finding, search.validation, watch)
-    return with_common_means(found, search.unknowns, problem.system.space)
+        return conclude(problem, search.finding, search.validation, watch, search.model)
 
 
 def _pose(

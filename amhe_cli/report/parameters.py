@@ -18,9 +18,8 @@ from amhe_cli.report.tables import NUMBER, STRONG, Table
 #: Half-width of the strip that shows prior and posterior side by side, in prior sd.
 STRIP = 2.5
 #: Colour of each kind of term of the ledger.
-_COLORS = dict(
-    zip(KINDS, ("after", "prior", "violet", "red", "mixed", "teal", "brown", "amber", "green"), strict=True)
-)
+_HUES = "after", "prior", "violet", "red", "mixed", "teal", "brown", "amber", "measured", "green"
+_COLORS = dict(zip(KINDS, _HUES, strict=True))
 
 
 def parameter_section(result: Identification, truth: Mapping[str, float]) -> Section:

@@ -28,7 +28,7 @@ class Reason:
 
     Args:
         kind: A kind of terms of the ledger ('noise', 'prior', 'repeats', 'parts', 'assumed', 'curvature',
-            'search', 'minimum', 'declared'), or 'idle', 'bound', 'misfit', 'open', 'together'.
+            'search', 'minimum', 'spread', 'declared'), or 'idle', 'bound', 'misfit', 'open', 'together'.
         parameters: The parameters that it is about.
         size: Share of the variance that it holds; of 'open' the distance from the prior in its sd, of
             'together' the correlation, else 1.

@@ -3,7 +3,8 @@
 The search knows the values y_i of a parameter as independent unknowns with the parameter's prior. Here that
 prior is taken out of the posterior again, and the common mean put in its place (Gelman et al., *Bayesian
 Data Analysis*, section 5.4): for a given spread everything is Gaussian, and the spread, whose posterior is
-not, is integrated on a grid.
+not, is integrated on a grid. Each error in the ledger moves the values and their mean as the estimate follows
+it; what mean and spread leave open is a term of its own.
 """
 
 from __future__ import annotations
@@ -15,9 +16,8 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import Parameter, ParameterSpace
-from amhe_cli.core.statistics import Z90, correlation, part_of
-from amhe_cli.estimation.core.result import Identification, Iteration, OwnSpread, ParameterResult, Reason
-from amhe_cli.estimation.uncertainty.verdicts import DETERMINED, NOTHING
+from amhe_cli.estimation.core.result import OwnSpread
+from amhe_cli.estimation.uncertainty.ledger import Ledger, term_of
 
 #: Spreads that are tried, in prior sd; their prior is half a normal distribution with the parameter's prior
 #: sd: logs are not expected to differ by more than the value itself was uncertain before.
@@ -31,12 +31,14 @@ class CommonMean:
     Args:
         mean: Mean and covariance of the unknowns with the common mean as the last, shape (k + 1,) and
             (k + 1, k + 1), in z.
+        follows: How it follows a change of the unknowns under the independent priors, shape (k + 1, k).
         spread: Quantiles 5, 50 and 95 % of the spread, in z.
         variance: Mean of the spread's square.
     """
 
     mean: FloatArray
     covariance: FloatArray
+    follows: FloatArray
     spread: FloatArray
     variance: float
 
@@ -50,7 +52,8 @@ def grouped(z: FloatArray, covariance: FloatArray, members: Sequence[int]) -> Co
     """
     rows = list(members)
     precision = np.linalg.inv(covariance)
-    score = np.append(precision @ z, 0.0)
+    pull = np.concatenate((precision, np.zeros((1, len(z)))))
+    score = pull @ z
     precision[rows, rows] -= 1.0
     values, vectors = np.linalg.eigh(precision)
     likelihood = np.zeros((len(z) + 1, len(z) + 1))
@@ -80,127 +83,84 @@ def grouped(z: FloatArray, covariance: FloatArray, members: Sequence[int]) -> Co
     return CommonMean(
         average,
         whole,
+        np.einsum("g,gij->ij", weight, covariances) @ pull,
         np.exp(np.interp((0.05, 0.5, 0.95), below, np.log(SPREADS))),
         float(weight @ SPREADS**2),
     )
 
 
-def with_common_means(found: Identification, model: ParameterSpace, space: ParameterSpace) -> Identification:
-    """The identification with the common mean and spread of each parameter that logs have as their own.
-
-    In its belief the spread adds to the common mean's covariance: that is what is known of the next log.
+@dataclass(frozen=True, slots=True, eq=False)
+class Lines:
+    """What is reported: the unknowns of a search, and before values of the logs' own their common mean.
 
     Args:
-        found: Result of the search, whose lines are the unknowns of `space`.
-        model: Parameters of the model, with their prior.
-        space: Unknowns of the search.
+        space: The lines.
+        z: Estimate, shape (k,).
+        ledger: All terms of its error.
+        rows: The unknowns that each line is; of a common mean, its values.
+        next_log: Variance by which the value of another log differs from the line, in z, shape (k,).
+        spreads: How far values lie from their mean.
     """
-    variances = {}
-    for parameter in model.parameters:
-        members = [i for i, p in enumerate(space.parameters) if p.owner and p.of_model == parameter.name]
-        if members:
-            found, space, variances[parameter.name] = _with_mean(found, space, parameter, members)
-    between = np.diag([variances.get(name, 0.0) for name in found.belief.names])
-    return replace(found, belief=replace(found.belief, covariance=found.belief.covariance + between))
 
+    space: ParameterSpace
+    z: FloatArray
+    ledger: Ledger
+    rows: tuple[tuple[int, ...], ...]
+    next_log: FloatArray
+    spreads: tuple[OwnSpread, ...] = ()
 
-def _with_mean(
-    found: Identification, space: ParameterSpace, parameter: Parameter, members: list[int]
-) -> tuple[Identification, ParameterSpace, float]:
-    """The identification with one parameter's common mean as a line before its values.
-
-    Returns:
-        It, its unknowns, and the variance of phi between the values.
-    """
-    z, covariance = space.gaussian_of(found.belief)
-    group, at = grouped(z, covariance, members), min(members)
-    order = [*range(at), len(space), *range(at, len(space))]
-    z, covariance = group.mean[order], group.covariance[np.ix_(order, order)]
-    lines = [parameter if i == len(space) else space.parameters[i] for i in order]
-    wider = ParameterSpace(tuple(lines))
-    average = np.zeros((1, len(space)))
-    average[0, members] = 1.0 / len(members)  # the mean errs by the mean of what its values err by
-    rows = np.concatenate((np.eye(len(space)), average))[order]
-    systematic = part_of(covariance, rows @ space.systematic_of(found.belief) @ rows.T)
-    scale = np.outer(wider.prior_sd, wider.prior_sd)
-    belief = replace(
-        found.belief,
-        names=wider.names,
-        units=tuple(p.unit for p in lines),
-        log=tuple(p.log for p in lines),
-        estimate=wider.theta_of(z),
-        covariance=covariance * scale,
-        systematic=systematic * scale,
-    )
-    results = [
-        _mean_line(parameter, found.parameters, members) if i == len(space) else found.parameters[i]
-        for i in order
-    ]
-    moved = [at, *(order.index(i) for i in members)]
-    for row in moved:
-        results[row] = _updated(
-            results[row], wider.parameters[row], z[row], float(covariance[row, row]) ** 0.5
+    def of(self, values: FloatArray) -> FloatArray:
+        """Numbers of the unknowns (d,) for the lines (k,), that of a common mean being a mean."""
+        return np.array([np.mean(values[list(rows)], axis=0) for rows in self.rows]).reshape(
+            -1, *values.shape[1:]
         )
+
+    @property
+    def means(self) -> dict[str, tuple[str, ...]]:
+        """The common means -> names of their values."""
+        return {spread.name: spread.values for spread in self.spreads}
+
+
+def with_common_means(space: ParameterSpace, model: ParameterSpace, z: FloatArray, ledger: Ledger) -> Lines:
+    """The estimate with the common mean of each parameter that logs have as their own.
+
+    Args:
+        space: Unknowns of the search.
+        model: Parameters of the model, with their prior.
+        z: Estimate of the unknowns, shape (d,).
+        ledger: All terms of its error.
+    """
+    lines = Lines(space, z, ledger, tuple((i,) for i in range(len(space))), np.zeros(len(space)))
+    for parameter in model.parameters:
+        members = [
+            i for i, p in enumerate(lines.space.parameters) if p.owner and p.of_model == parameter.name
+        ]
+        if members:
+            lines = _with_mean(lines, parameter, members)
+    return lines
+
+
+def _with_mean(lines: Lines, parameter: Parameter, members: list[int]) -> Lines:
+    """The lines with one parameter's common mean before its values."""
+    space, group = lines.space, grouped(lines.z, lines.ledger.covariance, members)
+    at, names = members[0], tuple(space.names[i] for i in members)
+    order = [*range(at), len(space), *range(at, len(space))]
+    follows, found = group.follows[order], []
+    for term in lines.ledger.terms:
+        sources = [replace(s, apart=tuple(follows @ s.apart)) if s.apart else s for s in term.sources]
+        # the independent priors of the values are no more
+        kept = [k for k, s in enumerate(sources) if s.parameter not in names] if sources else slice(None)
+        errors = follows @ term.errors[:, kept]
+        found.append(
+            replace(term, errors=errors, sources=tuple(s for s in sources if s.parameter not in names))
+        )
+    left = group.covariance[np.ix_(order, order)] - np.sum([term.covariance for term in found], axis=0)
     low, middle, high = (float(s * parameter.prior_sd) for s in group.spread)
-    spread = OwnSpread(
-        parameter.name, tuple(space.names[i] for i in members), middle, low, high, parameter.log
+    return Lines(
+        ParameterSpace(tuple(parameter if i == len(space) else space.parameters[i] for i in order)),
+        group.mean[order],
+        Ledger((*found, term_of("spread", left))),
+        (*lines.rows[:at], tuple(lines.rows[i][0] for i in members), *lines.rows[at:]),
+        np.insert(lines.next_log, at, group.variance),
+        (*lines.spreads, OwnSpread(parameter.name, names, middle, low, high, parameter.log)),
     )
-    widened = replace(
-        found,
-        parameters=tuple(results),
-        belief=belief,
-        correlations=correlation(covariance),
-        iterations=tuple(_iteration(one, order, members, len(space)) for one in found.iterations),
-        spreads=(*found.spreads, spread),
-    )
-    return widened, wider, group.variance * parameter.prior_sd**2
-
-
-def _mean_line(
-    parameter: Parameter, lines: Sequence[ParameterResult], members: Sequence[int]
-) -> ParameterResult:
-    """The line of a common mean; its numbers follow."""
-    values = [lines[i] for i in members]
-    wrong = next((p for p in values if p.verdict == "model-sensitive"), None)
-    conditional = next((p for p in values if p.given), None)
-    first = wrong or conditional
-    text = f"the common mean of {len(values)} values"
-    reasons = (Reason("together", tuple(p.name for p in values), 1.0, text),)
-    if first is not None:
-        reasons = (*(replace(r, text=f"{first.name}: {r.text}") for r in first.reasons[:1]), *reasons)
-    return replace(
-        values[0],
-        name=parameter.name,
-        verdict="" if wrong is None else wrong.verdict,
-        reasons=reasons,
-        budget={},
-        doubled_prior=float("nan"),
-        given="" if conditional is None else conditional.given,
-        profile=None,
-    )
-
-
-def _updated(line: ParameterResult, p: Parameter, z: float, sd: float) -> ParameterResult:
-    """A line with another posterior of its z."""
-    alone = ParameterSpace((p,))
-    estimate, *ends = (float(alone.theta_of(np.array([z + k * Z90 * sd]))[0]) for k in (0.0, -1.0, 1.0))
-    strength = "identified" if 1.0 - sd >= DETERMINED else "weak" if 1.0 - sd >= NOTHING else "prior"
-    if strength == "identified" and line.given:
-        strength = "conditional"  # what the values rest on, their mean rests on
-    verdict = line.verdict or strength
-    return replace(
-        line,
-        estimate=float(np.clip(estimate, p.lower, p.upper)),
-        sd=sd * p.prior_sd * (estimate if p.log else 1.0),
-        lower=float(np.clip(ends[0], p.lower, p.upper)),
-        upper=float(np.clip(ends[1], p.lower, p.upper)),
-        shrinkage=1.0 - sd,
-        verdict=verdict,
-        given=line.given if verdict == "conditional" else "",
-    )
-
-
-def _iteration(one: Iteration, order: Sequence[int], members: Sequence[int], new: int) -> Iteration:
-    """The record of an iteration with the values' mean in place of the common one."""
-    mean = float(np.mean([one.theta[i] for i in members]))
-    return replace(one, theta=tuple(mean if i == new else one.theta[i] for i in order))

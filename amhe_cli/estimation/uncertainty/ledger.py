@@ -31,13 +31,16 @@ KINDS: Mapping[str, str] = {
     "curvature": "a response that bends, or jitters, within the interval",
     "search": "a search that had not settled",
     "minimum": "a second minimum",
+    "spread": "values that differ from log to log",
     "declared": "identify.model_error",
 }
 
 #: Share of a variance below which a budget leaves a term out.
 LEAST = 0.005
 
-Kind = Literal["noise", "prior", "repeats", "parts", "assumed", "curvature", "search", "minimum", "declared"]
+Kind = Literal[
+    "noise", "prior", "repeats", "parts", "assumed", "curvature", "search", "minimum", "spread", "declared"
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,13 +138,14 @@ class Ledger:
         shares = {kind: self.variance(i, (kind,)) / total for kind in KINDS}
         return {kind: share for kind, share in shares.items() if share > 0.0}
 
-    def given(self, i: int, *, doubted: bool = False) -> list[tuple[float, Source]]:
+    def given(self, i: int, own: str = "", *, doubted: bool = False) -> list[tuple[float, Source]]:
         """What one parameter owes to numbers that somebody else gave, as variances, the largest first.
 
         These are the numbers of the model that are no parameters, and the priors of the other parameters.
 
         Args:
             i: The parameter.
+            own: Its name, since its own prior is no such number.
             doubted: Those that the logs speak against, in place of those that they leave open.
         """
         found = [pair for term in self.terms if term.kind == "assumed" for pair in term.of(i)]
@@ -150,12 +154,7 @@ class Ledger:
             for term in self.terms
             if term.kind == "prior"
             for variance, source in term.of(i)
-            if source.parameter and source.parameter != self._names[i]
+            if source.parameter and source.parameter != own
         ]
         some = ((v, s) for v, s in found if v > 0.0 and s.doubted == doubted)
         return sorted(some, key=lambda pair: -pair[0])
-
-    @cached_property
-    def _names(self) -> list[str]:
-        prior = next(term for term in self.terms if term.kind == "prior")
-        return [source.parameter for source in prior.sources]

@@ -56,6 +56,7 @@ class Evidence:
         rival: A second minimum.
         doubled_prior: Where the estimate would move if each parameter's prior sd were doubled, shape (d,).
         rough: The response jitters, as behind contacts.
+        means: Names of the values that common means are of, by the means' names.
     """
 
     z: FloatArray
@@ -68,6 +69,7 @@ class Evidence:
     rival: Rival | None
     doubled_prior: FloatArray
     rough: bool = False
+    means: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     correlations: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
@@ -100,16 +102,16 @@ def _parameter(space: ParameterSpace, evidence: Evidence, i: int) -> ParameterRe
         reasons=tuple(_reasons(space, evidence, i)),
         budget=evidence.ledger.budget(i),
         doubled_prior=float(space.theta_of(space.clip(moved))[i]) - estimate,
-        given=_given(evidence.ledger.given(i)[0][1]) if verdict == "conditional" else "",
+        given=_given(evidence.ledger.given(i, p.name)[0][1]) if verdict == "conditional" else "",
         profile=evidence.profiles.get(i),
     )
 
 
 def _verdict(space: ParameterSpace, evidence: Evidence, i: int) -> str:
     ledger, total = evidence.ledger, float(evidence.ledger.covariance[i, i])
-    given = sum(variance for variance, _ in ledger.given(i))
+    given = sum(variance for variance, _ in ledger.given(i, space.names[i]))
     contradictions = ledger.variance(i, CONTRADICTIONS)
-    contradictions += sum(variance for variance, _ in ledger.given(i, doubted=True))
+    contradictions += sum(variance for variance, _ in ledger.given(i, space.names[i], doubted=True))
     more = DOUBT**2 - 1.0  # of a variance whose sd is so many times as large
 
     def shrinkage(variance: float) -> float:
@@ -140,7 +142,7 @@ def _reasons(space: ParameterSpace, evidence: Evidence, i: int) -> list[Reason]:
         found.append(Reason("misfit", (name,), 1.0, text))
     total, terms = float(evidence.ledger.covariance[i, i]), []
     ledger = evidence.ledger
-    for variance, source in (*ledger.given(i), *ledger.given(i, doubted=True)):
+    for variance, source in (*ledger.given(i), *ledger.given(i, space.names[i], doubted=True)):
         if variance > COUNTS * total:
             kind = "prior" if source.parameter else "assumed"
             terms.append(Reason(kind, (name,), variance / total, _rests(space, i, variance, source)))
@@ -152,6 +154,8 @@ def _reasons(space: ParameterSpace, evidence: Evidence, i: int) -> list[Reason]:
             "the value is your prior" if away <= AT_PRIOR else f"it is {away:.1f} prior sd from your prior"
         )
         found.append(Reason("open", (name,), away, f"the logs hardly narrow it down: {value}"))
+    if values := evidence.means.get(name, ()):
+        found.append(Reason("together", values, 1.0, f"the common mean of {len(values)} values"))
     return [*found, *_partners(space, evidence, i)]
 
 

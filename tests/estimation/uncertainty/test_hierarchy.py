@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from amhe_cli.api.identify import identify
-from amhe_cli.core.belief import Belief
 from amhe_cli.core.errors import NOTE
 from amhe_cli.core.log import Log
 from amhe_cli.core.parameters import Parameter, ParameterSpace
-from amhe_cli.estimation.core.result import Identification, Reason
 from amhe_cli.estimation.uncertainty.hierarchy import SPREADS, grouped, with_common_means
+from amhe_cli.estimation.uncertainty.ledger import Ledger, Source, Term
+from amhe_cli.estimation.uncertainty.verdicts import Evidence, verdicts
 from amhe_cli.system.system import System
-from tests.report import synthetic
 
 
 def test_many_precise_values_give_their_own_mean_and_spread() -> None:
@@ -65,41 +63,42 @@ def test_spreads_cover_the_truth() -> None:
 
 
 @pytest.mark.parametrize(
-    ("verdicts", "sd", "verdict"),
+    ("noise", "gain", "doubted", "verdict"),
     [
-        (("identified", "identified"), 0.02, "identified"),
-        (("conditional", "identified"), 0.02, "conditional"),
-        (("conditional", "model-sensitive"), 0.02, "model-sensitive"),
-        (("conditional", "identified"), 0.99, "prior"),
+        (0.02, 0.05, False, "identified"),
+        (0.02, 0.3, False, "conditional"),
+        (0.02, 0.3, True, "model-sensitive"),
+        (0.98, 0.0, False, "prior"),
     ],
 )
-def test_a_mean_rests_on_what_its_values_rest_on(verdicts: tuple[str, ...], sd: float, verdict: str) -> None:
+def test_a_mean_rests_on_what_its_values_rest_on(
+    noise: float, gain: float, doubted: bool, verdict: str
+) -> None:
+    """A gain that is common to all logs moves the mean as it moves each value."""
     friction = Parameter("friction", "-", 0.6, 0.06, 6.0, log=True, prior_sd=0.5)
     space = ParameterSpace(tuple(friction.owned_by(owner) for owner in "abcdefgh"))
-    gain = "the gain of servo, 4"
-    lines = [
-        replace(
-            synthetic.parameter(0),
-            name=name,
-            verdict=of,
-            given=gain * (of == "conditional"),
-            reasons=(Reason("assumed", (name,), 0.5, f"given {gain}"),),
+    priors = tuple(Source(f"your prior of {name}", parameter=name) for name in space.names)
+    source = Source("the gain of servo", "4", 10.0, "%", doubted=doubted)
+    ledger = Ledger(
+        (
+            Term("noise", noise * np.sqrt(1.0 - noise**2) * np.eye(8)),
+            Term("prior", noise**2 * np.eye(8), priors),
+            Term("assumed", gain * np.ones((8, 1)), (source,), shared=True),
         )
-        for name, of in zip(space.names, 4 * verdicts, strict=True)
-    ]
-    found: Identification = synthetic.identification(
-        parameters=tuple(lines),
-        belief=Belief(
-            "push", space.names, ("-",) * 8, (True,) * 8, np.full(8, 0.6), (0.5 * sd) ** 2 * np.eye(8)
-        ),
-        correlations=np.eye(8),
-        iterations=(),
     )
-    mean = with_common_means(found, ParameterSpace((friction,)), space).parameters[0]
-    assert (mean.name, mean.verdict) == ("friction", verdict)
-    assert mean.given == (gain if verdict == "conditional" else "")
-    if verdict == "conditional":
-        assert mean.reasons[0].text == f"friction[a]: given {gain}"
+    lines = with_common_means(space, ParameterSpace((friction,)), np.zeros(8), ledger)
+    evidence = Evidence(
+        z=lines.z, ledger=lines.ledger, active=np.ones(9, dtype=bool), idle={}, misfit=(), blamed={},
+        profiles={}, rival=None, doubled_prior=np.full(9, np.nan), means=lines.means,
+    )  # fmt: skip
+    mean, *values = verdicts(lines.space, evidence)
+    assert (mean.name, mean.verdict, values[0].name) == ("friction", verdict, "friction[a]")
+    assert mean.given == ("the gain of servo, 4" if verdict == "conditional" else "")
+    assert "the common mean of 8 values" in [reason.text for reason in mean.reasons]
+    assert sum(mean.budget.values()) == pytest.approx(1.0)
+    assert mean.budget.get("assumed", 0.0) == pytest.approx(values[0].budget.get("assumed", 0.0), abs=0.1)
+    if verdict == "prior":
+        assert mean.budget["spread"] > 0.5, "the values' priors are no more"
 
 
 @pytest.mark.medium

@@ -89,8 +89,8 @@ def test_every_kind_has_a_meaning() -> None:
 def test_given_are_assumed_values_and_the_priors_of_others() -> None:
     priors = Term("prior", np.array([[0.1, 0.4], [0.3, 0.2]]), tuple(Source(n, parameter=n) for n in "ab"))
     found = Ledger((priors, Term("assumed", np.array([[0.2], [0.0]]), (Source("the gain"),))))
-    assert [(round(v, 9), s.name) for v, s in found.given(0)] == [(0.16, "b"), (0.04, "the gain")]
-    assert [(round(v, 9), s.name) for v, s in found.given(1)] == [(0.09, "a")]
+    assert [(round(v, 9), s.name) for v, s in found.given(0, "a")] == [(0.16, "b"), (0.04, "the gain")]
+    assert [(round(v, 9), s.name) for v, s in found.given(1, "b")] == [(0.09, "a")]
 
 
 def test_a_term_of_a_covariance_is_never_negative() -> None:
