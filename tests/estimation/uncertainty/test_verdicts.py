@@ -9,7 +9,7 @@ import pytest
 
 from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.core.statistics import Z90
-from amhe_cli.estimation.core.result import VERDICTS, ParameterResult
+from amhe_cli.estimation.core.result import ParameterResult
 from amhe_cli.estimation.offline.combinations import combinations
 from amhe_cli.estimation.uncertainty.ledger import Kind, Ledger, Source, Term, term_of
 from amhe_cli.estimation.uncertainty.minimum import Rival
@@ -214,10 +214,6 @@ def test_only_a_rough_model_hangs_on_contact() -> None:
 def test_an_estimate_at_a_bound_says_so(side: int, text: str) -> None:
     z = np.array([SPACE.bounds[side][0], 0.0, 0.0])
     assert text in texts(mass(evidence(z=z)))[0]
-
-
-def test_every_verdict_has_a_meaning() -> None:
-    assert list(VERDICTS) == ["identified", "conditional", "weak", "prior", "model-sensitive"]
 
 
 def test_parameters_that_are_known_only_together_name_each_other_and_their_product() -> None:
