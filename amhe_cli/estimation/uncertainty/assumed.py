@@ -58,11 +58,11 @@ def assumed(problem: Problem, fit: FinalFit) -> tuple[Term, tuple[str, ...]]:
         exact.append("time_step")
     changes = list(_changes(problem, _Neighbourhood(fit, problem.system.space.loose_precision)))
     values = [v for v in values if v.sd > 0.0]
-    if problem.rough:
-        term = _joined(_moves(problem, changes), _regressed(problem, fit, [], values))
-    else:
-        term = _regressed(problem, fit, changes, values)
-    return term, tuple(dict.fromkeys(exact))
+    moves = changes if problem.rough else []  # of jitter no regression says anything: the whole move counts
+    term = _regressed(problem, fit, [] if problem.rough else changes, values)
+    errors = np.concatenate((*(change.error[:, None] for change in moves), term.errors), axis=1)
+    sources = (*(change.source for change in moves), *term.sources)
+    return replace(term, errors=errors, sources=sources), tuple(dict.fromkeys(exact))
 
 
 def allowed(rise: float) -> float:
@@ -169,18 +169,6 @@ def _changes(problem: Problem, about: _Neighbourhood) -> Iterator[_Change]:
             )
         # to a step of zero: an error of order n falls to 2^-n of itself
         yield change.times(settings.time_step / (1.0 - 0.5**order), Source("the time step", f"{step:g} ms"))
-
-
-def _moves(problem: Problem, changes: Sequence[_Change]) -> Term:
-    """The whole moves under other choices."""
-    columns = [change.error for change in changes] or [np.zeros((0, len(problem.system.space)))]
-    errors = np.vstack(columns).T
-    return Term("assumed", errors, tuple(change.source for change in changes), shared=True)
-
-
-def _joined(one: Term, other: Term) -> Term:
-    errors = np.concatenate((one.errors, other.errors), axis=1)
-    return Term("assumed", errors, (*one.sources, *other.sources), shared=True)
 
 
 # -- the regression ------------------------------------------------------------------------------------------
