@@ -34,7 +34,7 @@ from amhe_cli.estimation.uncertainty.fit import (
     doubled_step,
     final_fit,
 )
-from amhe_cli.estimation.uncertainty.hierarchy import Lines, with_common_means
+from amhe_cli.estimation.uncertainty.hierarchy import WithMeans, with_common_means
 from amhe_cli.estimation.uncertainty.ledger import LEAST, Ledger
 from amhe_cli.estimation.uncertainty.minimum import SHARE, Rival, better, report_minima, second_minimum
 from amhe_cli.estimation.uncertainty.misfit import (
@@ -136,7 +136,7 @@ def conclude(
 def _evidence(
     problem: Problem,
     fit: FinalFit,
-    lines: Lines,
+    lines: WithMeans,
     misfit: Sequence[str],
     against: Mapping[str, tuple[str, ...]],
     drawn: Mapping[int, tuple[FloatArray, FloatArray]],

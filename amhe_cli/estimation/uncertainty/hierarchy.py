@@ -90,7 +90,7 @@ def grouped(z: FloatArray, covariance: FloatArray, members: Sequence[int]) -> Co
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lines:
+class WithMeans:
     """What is reported: the unknowns of a search, and before values of the logs' own their common mean.
 
     Args:
@@ -121,7 +121,9 @@ class Lines:
         return {spread.name: spread.values for spread in self.spreads}
 
 
-def with_common_means(space: ParameterSpace, model: ParameterSpace, z: FloatArray, ledger: Ledger) -> Lines:
+def with_common_means(
+    space: ParameterSpace, model: ParameterSpace, z: FloatArray, ledger: Ledger
+) -> WithMeans:
     """The estimate with the common mean of each parameter that logs have as their own.
 
     Args:
@@ -130,7 +132,7 @@ def with_common_means(space: ParameterSpace, model: ParameterSpace, z: FloatArra
         z: Estimate of the unknowns, shape (d,).
         ledger: All terms of its error.
     """
-    lines = Lines(space, z, ledger, tuple((i,) for i in range(len(space))), np.zeros(len(space)))
+    lines = WithMeans(space, z, ledger, tuple((i,) for i in range(len(space))), np.zeros(len(space)))
     for parameter in model.parameters:
         members = [
             i for i, p in enumerate(lines.space.parameters) if p.owner and p.of_model == parameter.name
@@ -140,7 +142,7 @@ def with_common_means(space: ParameterSpace, model: ParameterSpace, z: FloatArra
     return lines
 
 
-def _with_mean(lines: Lines, parameter: Parameter, members: list[int]) -> Lines:
+def _with_mean(lines: WithMeans, parameter: Parameter, members: list[int]) -> WithMeans:
     """The lines with one parameter's common mean before its values."""
     space, group = lines.space, grouped(lines.z, lines.ledger.covariance, members)
     at, names = members[0], tuple(space.names[i] for i in members)
@@ -156,7 +158,7 @@ def _with_mean(lines: Lines, parameter: Parameter, members: list[int]) -> Lines:
         )
     left = group.covariance[np.ix_(order, order)] - np.sum([term.covariance for term in found], axis=0)
     low, middle, high = (float(s * parameter.prior_sd) for s in group.spread)
-    return Lines(
+    return WithMeans(
         ParameterSpace(tuple(parameter if i == len(space) else space.parameters[i] for i in order)),
         group.mean[order],
         Ledger((*found, term_of("spread", left))),
