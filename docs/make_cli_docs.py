@@ -1,10 +1,14 @@
 """Write docs/cli.md from the commands' own help: `make docs`."""
 
+import re
+from copy import copy
 from pathlib import Path
 from typing import Any
 
 import click
 
+from amhe_cli.cli import options
+from amhe_cli.cli.command import Command
 from amhe_cli.cli.main import amhe
 
 WIDE: dict[str, Any] = {"terminal_width": 100, "max_content_width": 100}
@@ -43,22 +47,41 @@ switches it on:
 """
 
 
+#: Options that many commands have.
+SHARED = (
+    *options.where,
+    *options.narrowing,
+    options.belief_anyway,
+    *options.work,
+    *options.tuning,
+    *options.output,
+)
+
+
 def document() -> str:
     """The whole page."""
     group = click.Context(amhe, info_name="amhe", **{**WIDE, **amhe.context_settings})
     parts = [
         HEAD,
-        _section("amhe", amhe.get_help(group)),
+        _section("`amhe`", amhe.get_help(group)),
     ]
+    every = Command("COMMAND", add_help_option=False, params=list(SHARED))
+    parts.append(
+        _section("Options of many commands", every.get_help(click.Context(every, parent=group, **WIDE)))
+    )
     for name in sorted(amhe.commands):
-        command = amhe.commands[name]
+        command = copy(amhe.commands[name])
+        also = [one.opts[0] for one in command.params if one in SHARED]
+        command.params = [one for one in command.params if one not in SHARED]
+        command.epilog = f"Also, of the options of many commands: {' '.join(also)}" if also else None
         context = click.Context(command, info_name=name, parent=group, **WIDE)
-        parts.append(_section(f"amhe {name}", command.get_help(context)))
+        parts.append(_section(f"`amhe {name}`", command.get_help(context)))
     return "\n".join(parts)
 
 
 def _section(title: str, text: str) -> str:
-    return f"## `{title}`\n\n```text\n{text}\n```\n"
+    body = re.sub(r"\nCommon: .*?(\n\n|$)", r"\n", text, flags=re.DOTALL).strip()
+    return f"## {title}\n\n```text\n{body}\n```\n"
 
 
 if __name__ == "__main__":

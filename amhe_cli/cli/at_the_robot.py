@@ -26,14 +26,13 @@ _PORT = WholeNumber(1, 65535)
 #: Options by which a real robot and its motion capture are reached.
 REACH = in_panel(
     "A real Go1",
-    option("--host", "Of the robot.  [default: 192.168.123.10]", metavar="ADDRESS"),
+    option("--host ADDRESS", "Of the robot.  [default: 192.168.123.10]"),
     option("--port", "Of the robot.  [default: 8007]", _PORT),
     option("--pose", "Kind of motion capture.  [default: natnet]", POSES),
     option(
-        "--pose-host",
+        "--pose-host ADDRESS",
         "Of motion capture; motioncapture: KIND:ADDRESS; udp: to listen on.  "
         "[default: natnet 192.168.123.100, udp 127.0.0.1]",
-        metavar="ADDRESS",
     ),
     option("--pose-port", "Likewise.  [default: natnet 1510, udp 1512]", _PORT),
 )
@@ -43,7 +42,7 @@ CHECKS = "go1: check robot, poses, box and this computer's pace; send nothing th
 
 def target(about: str) -> Option:
     """A simulation, or the robot."""
-    return option("--target", about, ("sim", "go1"), default="sim", show_default=True)
+    return option("--target", about, ("sim", "go1"), default="sim")
 
 
 def dry_run_option(about: str) -> Option:

@@ -23,16 +23,14 @@ if TYPE_CHECKING:
     argument("model", kinds.MODEL_OR_RESULT),
     argument("against", kinds.LOG_OR_MODEL, nargs=-1, metavar="[LOG|MODEL]..."),
     option(
-        "vendor --against",
+        "vendor --against FILE",
         "Compare the numbers of this file with MODEL, the folder of a result.",
         kinds.MODEL,
-        metavar="FILE",
     ),
     option(
-        "--write",
+        "--write NAME,...",
         "Numbers that the audited file takes from the logs, by names or patterns.  [default: those that are "
         "contradicted]",
-        metavar="NAME,...",
         callback=kinds.listed,
     ),
     options.where,

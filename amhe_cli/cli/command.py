@@ -41,26 +41,37 @@ class Option(click.Option):
         self.panel, self.setting = panel, setting
 
 
-def option(names: str, help: str, kind: Any = None, **more: Any) -> Option:
+def option(spec: str, help: str, kind: Any = None, **more: Any) -> Option:
     """An option.
 
     Args:
-        names: What is typed, and the name of its value if that is another one: '-o --out', 'start --from'.
+        spec: What is typed, as help shows it: '--topic SIGNAL=/name ...' may be repeated. A word before the
+            options is the name of its value: 'start --from'.
         help: What it does.
         kind: Type of its value; a tuple of texts: one of these.
         more: As of `Option` and `click.Option`.
     """
-    return Option(names.split(), help=help, type=click.Choice(kind) if type(kind) is tuple else kind, **more)
+    once, repeats, _ = spec.partition(" ...")
+    words = once.split(" ")
+    names = max(i for i, word in enumerate(words) if word.startswith("-")) + 1
+    if repeats:
+        more["multiple"] = True
+    if more.get("default") not in (None, ""):
+        more.setdefault("show_default", True)
+    choice = click.Choice(kind) if type(kind) is tuple else kind
+    return Option(words[:names], help=help, type=choice, metavar=" ".join(words[names:]) or None, **more)
 
 
-def flag(names: str, help: str, **more: Any) -> Option:
+def flag(spec: str, help: str, **more: Any) -> Option:
     """An option without a value."""
-    return option(names, help, is_flag=True, **more)
+    return option(spec, help, is_flag=True, **more)
 
 
-def setting(key: str, help: str, kind: Any = None, **more: Any) -> Option:
+def setting(spec: str, help: str, kind: Any = None, **more: Any) -> Option:
     """An option that stands for a setting: `mhe.update_period` is --update-period."""
-    return option("--" + key.rpartition(".")[2].replace("_", "-"), help, kind, setting=key, **more)
+    key, _, metavar = spec.partition(" ")
+    name = "--" + key.rpartition(".")[2].replace("_", "-")
+    return option(f"{name} {metavar}".strip(), help, kind, setting=key, **more)
 
 
 def in_panel(panel: str, *options: Option) -> tuple[Option, ...]:
@@ -214,11 +225,9 @@ COMMON_OPTIONS = (
     _common("-v --verbose", "Say more on stderr; twice: everything.", is_flag=False, count=True),
     _common("--no-color", "No colours (NO_COLOR in the environment does the same)."),
     _common(
-        "--limit",
+        "--limit NAME=N ...",
         "Set a limit on what reading a file may cost, such as topics=20000. Repeatable.",
         is_flag=False,
-        multiple=True,
-        metavar="NAME=N",
         is_eager=True,
         callback=_set_limits,
     ),

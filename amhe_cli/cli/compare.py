@@ -21,10 +21,9 @@ if TYPE_CHECKING:
     "Which of several models predicts better?",
     argument("systems", nargs=-1, required=True, metavar="SYSTEM...", shell_complete=completion.systems),
     option(
-        "--logs",
+        "--logs ...",
         "Log to fit; more may follow, as in --logs run*.csv.",
         LOG,
-        multiple=True,
         required=True,
         callback=episodes,
     ),

@@ -16,11 +16,10 @@ from amhe_cli.cli.session import Session
     "A log as tables: CSV, npz.",
     options.logs,
     option(
-        "-o --out",
+        "-o --out OUT",
         "What to write: OUT.csv or OUT.npz; without an ending, a folder of CSV files.",
         click.Path(path_type=Path),
         required=True,
-        metavar="OUT",
     ),
     option(
         "--each",

@@ -13,19 +13,16 @@ MOCAP = ("natnet", "udp", "none")
 @command(
     "A Go1 and its motion capture, emulated on this computer.",
     options.task("Whose box to put down."),
-    option("--host", "To listen on.", default="127.0.0.1", show_default=True, metavar="ADDRESS"),
-    option("--port", "Of the robot.", PORT, default=8007, show_default=True),
-    option("--mocap", "Its cameras' protocol.", MOCAP, default="natnet", show_default=True),
+    option("--host ADDRESS", "To listen on.", default="127.0.0.1"),
+    option("--port", "Of the robot.", PORT, default=8007),
+    option("--mocap", "Its cameras' protocol.", MOCAP, default="natnet"),
     option(
         "--mocap-port",
         "natnet: where Motive listens; udp: where poses are sent to.  [default: 1510 or 1512]",
         PORT,
     ),
     option(
-        "--fault",
-        "What goes wrong, such as loss=0.02,after=5,hot=20 (docs/go1.md).",
-        default="",
-        metavar="NAME=V,...",
+        "--fault NAME=V,...", "What goes wrong, such as loss=0.02,after=5,hot=20 (docs/go1.md).", default=""
     ),
     options.seed,
     options.tuning,

@@ -32,43 +32,29 @@ def _beliefs(ctx: click.Context, param: click.Parameter, value: tuple[str, ...])
 @command(
     "Tasks by modes by seeds: tables and figures.",
     option(
-        "--tasks",
+        "--tasks T,...",
         "As of amhe run.",
-        metavar="T,...",
         shell_complete=completion.listed(options.TASKS),
         callback=listed,
         default="t1,t2,t3,t4,t5",
-        show_default=True,
     ),
     option(
-        "--modes",
+        "--modes M,...",
         "Likewise.  [default: all; with --ablate, adaptive]",
-        metavar="M,...",
         shell_complete=completion.listed(options.MODES),
         callback=listed,
     ),
+    option("--seeds", "Seeds 0 to N - 1 of each, the same for all modes.", COUNT, default=15),
+    option("--plants P,...", "Robots to run on, as of amhe run --plant.  [default: ours]", callback=listed),
     option(
-        "--seeds", "Seeds 0 to N - 1 of each, the same for all modes.", COUNT, default=15, show_default=True
-    ),
-    option(
-        "--plants",
-        "Robots to run on, as of amhe run --plant.  [default: ours]",
-        metavar="P,...",
-        callback=listed,
-    ),
-    option(
-        "ablations --ablate",
+        "ablations --ablate KEY=V,... ...",
         "Try values of one setting, all others at the operating point; repeat for more. A key without a dot "
         "is a setting of mhe, or else of control, or one of the paper's: L_MHE, B, dt_update, H, alpha, "
         "w_mass, w_friction.",
-        multiple=True,
-        metavar="KEY=V,...",
     ),
     option(
-        "beliefs --belief",
+        "beliefs --belief TASK=FILE ...",
         "A belief.yaml that the baseline of a task believes; repeat for more.",
-        multiple=True,
-        metavar="TASK=FILE",
         callback=_beliefs,
     ),
     options.robot,
@@ -76,7 +62,7 @@ def _beliefs(ctx: click.Context, param: click.Parameter, value: tuple[str, ...])
     options.engine,
     options.spread,
     flag("--resume", "Go on in OUT: run what is missing or has failed."),
-    option("--report", "Run nothing; make summary, tables and figures of OUT again.", FOLDER, metavar="OUT"),
+    option("--report OUT", "Run nothing; make summary, tables and figures of OUT again.", FOLDER),
     options.tuning,
     options.output,
     name="eval",

@@ -42,20 +42,18 @@ def _a_cause(ctx: click.Context, param: click.Parameter, value: str | None) -> s
     options.unknowns,
     options.robot,
     option(
-        "--repair",
+        "--repair [KIND@PLACE]",
         "Give a copy of the system, in OUT/system, what it lacks: each cause, or the one named, stays if "
         "held-out errors fall by more than chance.",
         is_flag=False,
         flag_value="all",
         callback=_a_cause,
-        metavar="[KIND@PLACE]",
     ),
     option(
         "--method",
         "Estimator; cmaes is that of SPI.",
         ("linearised", "cmaes"),
         default="linearised",
-        show_default=True,
     ),
     setting(
         "match",

@@ -18,10 +18,9 @@ from amhe_cli.core.text import printable
     argument("model", MODEL),
     options.logs,
     option(
-        "-o --out --system",
+        "-o --out --system DIR",
         "The system folder to write.  [default: amhe-out/init-<date>-<time>/]",
         click.Path(path_type=Path),
-        metavar="DIR",
     ),
     options.force("into an existing DIR that is not empty"),
     *in_panel(
@@ -41,27 +40,21 @@ from amhe_cli.core.text import printable
             "With --actuators: gain, velocity gain, force limit and filter of each servo are unknown, too.",
         ),
         option(
-            "--backlash",
+            "--backlash JOINT ...",
             "Put a free gap of unknown width between this joint and its drive: a name or a pattern, '*' for "
             "all; repeat for more.",
-            metavar="JOINT",
-            multiple=True,
         ),
         option(
-            "--elastic",
+            "--elastic JOINT ...",
             "Make the drive of this joint elastic, as harmonic drives are, of unknown stiffness.",
-            metavar="JOINT",
-            multiple=True,
         ),
     ),
     *in_panel(
         "Drives of known make",
         option(
-            "drives --drive",
+            "drives --drive JOINT=MAKER:TYPE ...",
             "Take gain, limit and armature of this joint's drive, or those of a pattern, from the library "
             "(`amhe drives`); repeat for more.",
-            metavar="JOINT=MAKER:TYPE",
-            multiple=True,
             callback=pairs(str),
         ),
         option("--volts", "Supply of these drives.  [default: the data sheet's]", Number("V", min=0.1)),
@@ -74,11 +67,9 @@ from amhe_cli.core.text import printable
     *in_panel(
         "Files",
         option(
-            "packages --package",
+            "packages --package NAME=DIR ...",
             "Folder of a ROS package that a URDF's meshes lie in; repeat for more.  [default: "
             "ROS_PACKAGE_PATH, AMENT_PREFIX_PATH, and the folders above the URDF]",
-            metavar="NAME=DIR",
-            multiple=True,
             callback=pairs(str),
         ),
         flag(

@@ -54,24 +54,19 @@ logs = argument("logs", LOG, nargs=-1, required=True, callback=episodes, metavar
 def system_or(default: str) -> Option:
     """The system, and which it is where the user does not say."""
     return option(
-        "--system",
+        "--system NAME|DIR",
         f"A bundled system or your own system folder.  [default: {default}]",
-        metavar="NAME|DIR",
         shell_complete=completion.systems,
     )
 
 
 system = system_or("named by the log, or amhe.toml beside it")
 msg_path = option(
-    "--msg-path",
-    "Folder of .msg files, for message types that the log does not define itself.",
-    FOLDER,
+    "--msg-path", "Folder of .msg files, for message types that the log does not define itself.", FOLDER
 )
 topics = option(
-    "topics --topic",
+    "topics --topic SIGNAL=/name ...",
     "Read a signal of the system from another topic; repeat for more.",
-    metavar="SIGNAL=/name",
-    multiple=True,
     callback=pairs(str),
 )
 where = in_panel(
@@ -87,17 +82,12 @@ where = in_panel(
 def held_out(use: str) -> Option:
     """Logs that are not fitted; `use` says what for."""
     text = f"{use}; repeat for more.  [default: a quarter of the logs' time]"
-    return option("--held-out", text, LOG, multiple=True, callback=episodes, panel=_DATA)
+    return option("--held-out ...", text, LOG, callback=episodes, panel=_DATA)
 
 
 tuning = in_panel(
     _SETTINGS,
-    option(
-        "assignments --set",
-        "Override a setting, such as clips.count=40; repeat for more.",
-        metavar="A.B=V",
-        multiple=True,
-    ),
+    option("assignments --set A.B=V ...", "Override a setting, such as clips.count=40; repeat for more."),
     option("--config", "YAML file of settings; --set wins.", FILE),
 )
 
@@ -121,15 +111,13 @@ def _known_engine(ctx: click.Context, param: click.Parameter, value: str) -> str
 
 
 engine = option(
-    "--engine",
+    "--engine KIND",
     "What computes the rollouts: cpu; gpu, with the extra [gpu] and a card; auto: for each call the quicker.",
-    metavar="KIND",
     default="cpu",
-    show_default=True,
     callback=_known_engine,
     panel=_COMPUTING,
 )
-seed = option("--seed", "Of the random numbers.", WholeNumber(min=0), default=0, show_default=True)
+seed = option("--seed", "Of the random numbers.", WholeNumber(min=0), default=0)
 work = in_panel(
     _COMPUTING,
     seed,
@@ -149,10 +137,9 @@ def _spread(default: Any, shown: str) -> tuple[Option, ...]:
         _COMPUTING,
         option("--workers", "Processes on this machine.", COUNT, default=default, show_default=shown),
         option(
-            "--cluster",
+            "--cluster tcp://HOST:PORT",
             "A dask scheduler whose workers do it instead; needs the extra [cluster]. Whoever reaches its "
             "port can run any code as you (docs/scaling.md).",
-            metavar="tcp://HOST:PORT",
         ),
     )
 
@@ -164,10 +151,8 @@ spread_if_chosen = _spread(None, "none: threads of this one")
 def require(of: str) -> Option:
     """How precisely parameters must be known."""
     return option(
-        "--require",
+        "--require 'NAME<5%' ...",
         f"Exit code 3 if {of} is larger than a share of its value; repeat for more.",
-        metavar="'NAME<5%'",
-        multiple=True,
         callback=required,
     )
 
@@ -180,17 +165,15 @@ def force(of: str) -> Option:
 output = in_panel(
     _OUTPUT,
     option(
-        "-o --out",
+        "-o --out OUT",
         "Folder to write to.  [default: amhe-out/<command>-<date>-<time>/]",
         click.Path(path_type=Path),
-        metavar="OUT",
     ),
     force("into an existing OUT that is not empty"),
 )
 
 belief_anyway = flag(
-    "--belief-anyway",
-    "Take a belief about another model too, and only warn of what has changed.",
+    "--belief-anyway", "Take a belief about another model too, and only warn of what has changed."
 )
 
 
@@ -202,19 +185,15 @@ def believed(about: str) -> tuple[Option, ...]:
 narrowing = in_panel(
     _START,
     option(
-        "--fix",
+        "--fix NAME=VALUE ...",
         "Take a parameter as known; it is not estimated. Repeat for more.",
-        metavar="NAME=VALUE",
         shell_complete=completion.parameters("="),
-        multiple=True,
         callback=pairs(float),
     ),
     option(
-        "--only",
+        "--only NAME,NAME ...",
         "Estimate these parameters (names, or patterns such as 'left_*') and fix all others.",
-        metavar="NAME,NAME",
         shell_complete=completion.parameters(),
-        multiple=True,
         callback=lambda ctx, param, given: list(listed(ctx, param, given)) or None,
     ),
 )
@@ -235,9 +214,8 @@ def _held(ctx: click.Context, param: click.Parameter, path: Path | None) -> dict
 
 
 unknowns = setting(
-    "unknowns",
+    "unknowns GROUP|NAME,...",
     "What is estimated, where a system holds some parameters: of go1_push box (the default) or robot.",
-    metavar="GROUP|NAME,...",
     callback=_asked,
     panel=_START,
 )
@@ -269,18 +247,16 @@ estimator = in_panel(
     setting("mhe.window", "Time that one update looks back.  [default: 0.5; of go1_push 0.4]", SECONDS),
     setting("mhe.update_period", "Time between two updates.  [default: 0.2; of go1_push 0.1]", SECONDS),
     setting(
-        "mhe.samples",
+        "mhe.samples B",
         "Rollouts of one iteration; linearised takes two for each unknown, or more, and one at the mean.  "
         "[default: 8 for linearised, 32 for logrank]",
         WholeNumber(min=4),
-        metavar="B",
     ),
     setting(
-        "mhe.iterations",
+        "mhe.iterations L",
         "Iterations of one update, at most.  [default: 3 for linearised, 4 for logrank; 1 for linearised "
         "where first states are taken as recorded, as for go1_push]",
         COUNT,
-        metavar="L",
     ),
     setting(
         "mhe.learning_rate",
@@ -288,11 +264,9 @@ estimator = in_panel(
         Number("A", min=0, min_open=True, max=1),
     ),
     setting(
-        "mhe.prior_weight",
+        "mhe.prior_weight NAME=W ...",
         "How firmly a parameter is held at its last estimate; repeat for more.  [default: 0; of go1_push "
         "box_inertia_scale=30]",
-        multiple=True,
-        metavar="NAME=W",
         callback=pairs(float),
         shell_complete=completion.parameters("="),
     ),
@@ -302,17 +276,15 @@ estimator = in_panel(
 listening = in_panel(
     _LISTENING,
     option(
-        "--source",
+        "--source SOURCE",
         "ros2; zenoh; mcap, with --follow; udp://HOST:PORT or - (stdin): lines of JSON; or a LOG, which is "
         "played.",
-        metavar="SOURCE",
         required=True,
     ),
     option(
-        "--follow",
+        "--follow FILE",
         "mcap: a file that a recorder still writes, or the folder that it writes to.",
         click.Path(path_type=Path),
-        metavar="FILE",
     ),
     setting(
         "live.domain",
@@ -320,10 +292,6 @@ listening = in_panel(
         WholeNumber(0, 232),
         envvar="ROS_DOMAIN_ID",
     ),
-    setting(
-        "live.peers",
-        "ros2: look for the robot at these addresses, without multicast.",
-        metavar="ADDRESS,ADDRESS",
-    ),
-    setting("live.connect", "zenoh: the router.  [default: tcp/localhost:7447]", metavar="ENDPOINT"),
+    setting("live.peers ADDRESS,ADDRESS", "ros2: look for the robot at these addresses, without multicast."),
+    setting("live.connect ENDPOINT", "zenoh: the router.  [default: tcp/localhost:7447]"),
 )

@@ -39,17 +39,15 @@ def _recipe(name: str, about: str) -> Any:
     options.narrowing,
     options.robot,
     option(
-        "--plant",
+        "--plant NAME|XML",
         "What is probed in simulation, instead of the system's own model: another Go1, as of amhe run, or "
         "the MJCF of another model with the same joints and actuators.",
-        metavar="NAME|XML",
     ),
     option(
-        "--box",
+        "--box KG MU",
         "Mass and friction of the box that is probed in simulation, instead of the task's.",
         Number(min=0, min_open=True, max=100),
         nargs=2,
-        metavar="KG MU",
     ),
     _recipe(
         "chirp",

@@ -17,7 +17,7 @@ from amhe_cli.cli.session import Session, stopping
     options.believed("The belief.yaml of an identification: its ghost is shown beside the nominal one."),
     option("-o --save", "Write one page that needs no network, and serve nothing.", NewFile("PAGE.html")),
     options.force("over PAGE.html where it exists"),
-    option("--host", "To serve on.", default="127.0.0.1", show_default=True, metavar="ADDRESS"),
+    option("--host ADDRESS", "To serve on.", default="127.0.0.1"),
     option("--port", "To serve on.", PORT, default=0, show_default="any free one"),
     options.tuning,
 )
