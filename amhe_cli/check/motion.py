@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 
 from amhe_cli.check.findings import Finding
 from amhe_cli.core.log import Log
-from amhe_cli.system.model.elements import joint_of
 from amhe_cli.system.system import System
 
 #: A joint whose range is within this many noise sd stands still, as for clips.
@@ -48,15 +48,17 @@ def motions(system: System, logs: Sequence[Log]) -> tuple[JointMotion, ...]:
             both = np.concatenate(values) if values else np.zeros(0)
             if not both.size:
                 continue
-            name = joint_of(system.model, column)[0]
+            number = int(np.searchsorted(system.model.jnt_qposadr, column, side="right")) - 1
+            if system.model.jnt_type[number] < mujoco.mjtJoint.mjJNT_SLIDE:
+                continue  # a body that is free, or a ball
             speeds = [np.abs(np.diff(one.values[one.valid, i])) / system.dt for one in series]
-            joint = system.model.joint(name)
+            joint = system.model.joint(number)
             span = float(np.ptp(joint.range)) if system.model.jnt_limited[joint.id] else 0.0
             low, high = float(both.min()), float(both.max())
             speed = float(np.quantile(np.concatenate(speeds), 0.99))
             found.append(
                 JointMotion(
-                    name, low, high, (high - low) / span if span else None, speed, channel.noise or 0.0
+                    joint.name, low, high, (high - low) / span if span else None, speed, channel.noise or 0.0
                 )
             )
     return tuple(found)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import mujoco
+import numpy as np
 import pytest
 
 import amhe_cli as amhe
@@ -38,6 +40,22 @@ def test_a_joint_that_stands_still_is_named() -> None:
     assert not list(still([moved]))
     (found,) = still([type(moved)("hinge", 0.0, 0.01, 0.01, 0.0, 0.005)])
     assert (found.kind, found.where) == ("still", "hinge")
+
+
+def test_a_free_body_without_a_name_of_its_joint_has_no_joint_to_move() -> None:
+    times = np.arange(0.0, 1.0, 0.002)
+    poses = {"position": np.ones((len(times), 3)), "orientation": np.tile([1.0, 0, 0, 0], (len(times), 1))}
+    spec = mujoco.MjSpec.from_string(
+        "<mujoco><worldbody><body name='cube'><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
+    )
+    free = amhe.System.from_model(
+        spec,
+        parameters={"mass": {"targets": [{"body": "cube", "set": "mass"}]}},
+        signals={"cube": {"body": "cube", "noise": {"position": 0.001, "orientation": 0.01}}},
+        warn=False,
+    )
+    log = amhe.Log.from_arrays({"cube": {"time": times, **poses}}, free)
+    assert motions(free, [log]) == ()
 
 
 def test_the_command_says_what_to_expect(capsys: pytest.CaptureFixture[str]) -> None:
