@@ -49,7 +49,7 @@ def motions(system: System, logs: Sequence[Log]) -> tuple[JointMotion, ...]:
             if not both.size:
                 continue
             number = int(np.searchsorted(system.model.jnt_qposadr, column, side="right")) - 1
-            if system.model.jnt_type[number] < mujoco.mjtJoint.mjJNT_SLIDE:
+            if system.model.jnt_type[number] < int(mujoco.mjtJoint.mjJNT_SLIDE):
                 continue  # a body that is free, or a ball
             speeds = [np.abs(np.diff(one.values[one.valid, i])) / system.dt for one in series]
             joint = system.model.joint(number)
