@@ -51,7 +51,9 @@ class Comparison(Compared):
         """Errors of each system at each horizon, and the verdicts, as text."""
         from amhe_cli.report.comparison import table_text
 
-        return "\n".join((table_text(comparison_table(self.names, self.horizons)), "", *self.verdicts))
+        return "\n".join(
+            (table_text(comparison_table(self.names, self.horizons, self.best)), "", *self.verdicts)
+        )
 
     def record(self) -> dict[str, Any]:
         """The keys of a comparison in result.json."""
@@ -131,14 +133,14 @@ def compare(
         def show(iteration: Any, total: int, name: str = name) -> None:
             say(f"{name}: {iteration.method} {iteration.number}/{total}")
 
-        with collected_warnings() as texts:
+        with collected_warnings(of=name) as texts:
             results.append(
                 identify(
                     system, logs[i], held_out=unseen[i] if held_out else None, seed=seed, threads=threads,
                     engine=engine, max_time=share, progress=show,
                 )
             )  # fmt: skip
-        warnings += [f"{name}: {text}" for text in texts]
+        warnings += texts
     say("held-out clips")
     parts = [whole(log) for log in unseen[0]] if held_out else split_held_out(logs[0], clips.held_out)[1]
     found = scored(alike, results, unseen, parts, seed, threads, engine)
@@ -148,11 +150,21 @@ def compare(
         found=tuple(result.found for result in results),
         horizons=found,
         best=best,
-        verdicts=tuple(verdict(found, names, best, i) for i in range(len(names)) if i != best),
+        verdicts=_verdicts(found, names, best, [one.found.settled for one in results]),
         results=tuple(results),
         seconds=time.monotonic() - begun,
         warnings=tuple(warnings),
     )
+
+
+def _verdicts(
+    found: Sequence[AtHorizon], names: Sequence[str], best: int, settled: Sequence[bool]
+) -> tuple[str, ...]:
+    """What the logs say of the best system against each other one; nothing while a search has not ended."""
+    if all(settled):
+        return tuple(verdict(found, names, best, i) for i in range(len(names)) if i != best)
+    short = " and ".join(name for name, ended in zip(names, settled, strict=True) if not ended)
+    return (f"no model is called better: the search of {short} did not end; give it longer (`max_time`)",)
 
 
 def _names(systems: Sequence[System]) -> tuple[str, ...]:

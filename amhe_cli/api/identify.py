@@ -411,17 +411,23 @@ def _same_data(one: Log, other: Log) -> bool:
 
 
 @contextmanager
-def collected_warnings() -> Iterator[list[str]]:
-    """The library's warnings, each once, while the block runs."""
+def collected_warnings(of: str = "") -> Iterator[list[str]]:
+    """The library's warnings, each once, while the block runs.
+
+    Args:
+        of: What they are about; whoever else hears them is told.
+    """
     texts: dict[str, None] = {}
     found: list[str] = []
 
     class Collector(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
+            if of:
+                record.msg, record.args = f"{of}: {record.getMessage()}", ()
             texts[record.getMessage()] = None
 
     logger, listener = logging.getLogger("amhe_cli"), Collector(logging.WARNING)
-    logger.addHandler(listener)
+    logger.handlers.insert(0, listener)  # the first to hear of them
     try:
         yield found
     finally:

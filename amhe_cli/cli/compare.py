@@ -48,7 +48,7 @@ def compare(session: Session, given: Given) -> None:
     """
     from amhe_cli.api.compare import compare as run
     from amhe_cli.cli.progress import progress
-    from amhe_cli.report.comparison import comparison_table, ratio_table
+    from amhe_cli.report.comparison import comparison_table
     from amhe_cli.report.tables import rich_table
 
     names, more = _parted(given.systems)
@@ -69,8 +69,7 @@ def compare(session: Session, given: Given) -> None:
     if session.gave(record):
         return
     console = session.console()
-    console.print(rich_table(comparison_table(found.names, found.horizons)), "")
-    console.print(rich_table(ratio_table(found.names, found.horizons, found.best)), "")
+    console.print(rich_table(comparison_table(found.names, found.horizons, found.best)), "")
     for text in found.verdicts:
         console.print(text)
     if given.friction:

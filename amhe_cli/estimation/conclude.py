@@ -124,6 +124,7 @@ def conclude(
         exact=exact,
         fits=fits(problem, finding.z, validation or list(problem.clips), bool(validation)),
         interrupted=watch.interrupted,
+        settled=not watch.cut_short,
         bodies=body_numbers(system, finding.z, ledger.covariance, problem.rng(5)),
         logs=tuple(dict.fromkeys(part.log.source for part in problem.pool.parts)),
         runs=estimates(system.space, fit, each_log(problem, fit)),

@@ -20,35 +20,25 @@ from amhe_cli.report.page import Section, Statement, result_page
 from amhe_cli.report.tables import NUMBER, STRONG, PlainConsole, Table, rich_table
 
 
-def comparison_table(names: Sequence[str], horizons: Sequence[AtHorizon]) -> Table:
-    """Rms error of each system at each horizon, over all joints and poses of a unit."""
-    units = list(dict.fromkeys(unit for at in horizons for _, unit in at.errors))
+def comparison_table(names: Sequence[str], horizons: Sequence[AtHorizon], best: int) -> Table:
+    """Rms error of each system at each horizon, over all joints and poses of a unit, beside the best."""
     rows = []
-    for i, name in enumerate(names):
-        for unit in units:
-            cells = [sized(together(at, i, unit), unit) for at in horizons]
-            rows.append((name, *cells))
-    return Table(("", *heads(horizons)), ("name", *(NUMBER for _ in horizons)), rows)
-
-
-def ratio_table(names: Sequence[str], horizons: Sequence[AtHorizon], best: int) -> Table:
-    """Error of each other system over that of the best one, with its interval."""
-    rows = [
-        (
-            name,
-            *(_ratio(at, i, best) for at in horizons),
-        )
-        for i, name in enumerate(names)
-        if i != best
-    ]
-    looks = ("name", *(NUMBER for _ in horizons))
-    return Table((f"error over that of {names[best]}", *heads(horizons)), looks, rows)
+    for at in horizons:
+        units = list(dict.fromkeys(unit for _, unit in at.errors))
+        for i, name in enumerate(names):
+            after, clips = (
+                (f"{at.horizon:.3g} s{' (end)' * at.to_end}", str(at.clips)) if i == 0 else ("", "")
+            )
+            error = ", ".join(sized(together(at, i, unit), unit) for unit in units)
+            rows.append((after, clips, name, error, "" if i == best else _ratio(at, i, best)))
+    head = ("after", "clips", "model", "error", f"over that of {names[best]} (95 %)")
+    return Table(head, ("", NUMBER, "name", STRONG, NUMBER), rows)
 
 
 def _ratio(at: AtHorizon, i: int, best: int) -> str:
     """A ratio with its interval, or why there is none."""
     if at.clips < FEWEST:
-        return f"too few clips ({at.clips})"
+        return "too few clips"
     if np.isnan(at.lower[i, best]):
         return numbers.MISSING
     return f"{at.ratios[i, best]:.2f} ({at.lower[i, best]:.2f} to {at.upper[i, best]:.2f})"
@@ -60,7 +50,7 @@ def comparison_record(compared: Compared) -> dict[str, Any]:
     return plain(
         {
             "systems": [_system_record(name, one) for name, one in zip(names, compared.found, strict=True)],
-            "best": names[best],
+            "best": names[best] if all(one.settled for one in compared.found) else None,
             "verdicts": list(compared.verdicts),
             "horizons": [horizon_record(names, at, best) for at in compared.horizons],
         }
@@ -110,8 +100,9 @@ def write_comparison(
 
 def _page(compared: Compared, record: Mapping[str, Any], provenance: Mapping[str, Any]) -> str:
     names, horizons, best, verdicts = compared.names, compared.horizons, compared.best, compared.verdicts
-    better = [text for text in verdicts if "cannot tell" not in text]
-    clear = len(better) == len(verdicts)
+    settled = all(one.settled for one in compared.found)
+    clear = settled and not any("cannot tell" in text for text in verdicts)
+    headline = f"{names[best]} predicts best." if clear else "The logs do not single out one model."
     return result_page(
         record,
         provenance,
@@ -120,25 +111,23 @@ def _page(compared: Compared, record: Mapping[str, Any], provenance: Mapping[str
             f"{len(names)} models",
             f"{max(at.clips for at in horizons)} clips that were not fitted, at most",
         ),
-        headline=f"{names[best]} predicts best." if clear else "The logs do not single out one model.",
+        headline=headline if settled else "No model is called better: a search did not end.",
         statements=[
-            Statement("mixed" if "cannot tell" in text else "good", f"{text[0].upper()}{text[1:]}.")
+            Statement(
+                "mixed" if "cannot tell" in text or not settled else "good", f"{text[0].upper()}{text[1:]}."
+            )
             for text in verdicts
         ],
         sections=[
             Section(
                 "Error against horizon",
                 text="Each model was fitted to the same logs. Predictions start from recorded states of "
-                "clips that were not fitted, and follow the recorded commands. Each cell is the rms error "
-                "after so much time, over all joints.",
-                table=comparison_table(names, horizons),
-            ),
-            Section(
-                f"Against {names[best]}",
-                text="Ratios of errors on the same clips, with the 95 % interval of a bootstrap over clips; "
-                "each joint counts in units of its usual error. Above 1 the other model is worse; an "
-                f"interval that holds 1 cannot tell, and fewer than {FEWEST} clips cannot either.",
-                table=ratio_table(names, horizons, best),
+                "clips that were not fitted, and follow the recorded commands. The error is the rms after so "
+                f"much time, over all joints. Behind it: the ratio to that of {names[best]} on the same "
+                "clips, with the 95 % interval of a bootstrap over clips; each joint counts in units of its "
+                "usual error. Above 1 the model is worse; an interval that holds 1 cannot tell, and fewer "
+                f"than {FEWEST} clips cannot either.",
+                table=comparison_table(names, horizons, best),
             ),
             *([Section("Each joint", table=_joint_table(names, horizons))] * (len(horizons[0].errors) > 1)),
             Section(

@@ -16,6 +16,8 @@ from amhe_cli.web.plots import Curve, Mark, Panel, color_of, evenly, figure, sho
 MANY = 24
 #: Panels of one clip; if there are more columns, those that move most are shown.
 MAX_PANELS = 9
+#: Inputs that are drawn below a clip.
+MAX_INPUTS = 2
 #: Corners of an ellipse.
 _ROUND = 60
 
@@ -34,7 +36,8 @@ def fit_figure(fits: Sequence[Fit], large: bool = False) -> Markup:
         return figure([_overlay(*cell) for cell in cells])
     worst = max(cells, key=lambda cell: _gap(*cell))
     others = [_overlay(*cell) for cell in cells if cell is not worst]
-    return figure([_overlay(*worst, height=280)], 1) + figure([_rest(*worst)], 1) + figure(others)
+    below = [_rest(*worst), *_inputs(worst[0])]
+    return figure([_overlay(*worst, height=280)], 1) + figure(below, 1) + figure(others)
 
 
 def _overlay(fit: Fit, column: int, height: int = 150) -> Panel:
@@ -62,6 +65,17 @@ def _rest(fit: Fit, column: int) -> Panel:
     line = Curve(fit.time, error, "what is left", "after", "dots")
     band = Mark((-noise, noise), "declared noise, one sd", "given", "y")
     return Panel("measured − after", [line], unit, marks=[band], height=110)
+
+
+def _inputs(fit: Fit) -> Iterator[Panel]:
+    """What drove the clip: the inputs that change most."""
+    rows = evenly(len(fit.time))
+    moved = [float(np.ptp(values[np.isfinite(values)])) if values.size else 0.0 for _, values in fit.inputs]
+    for i in sorted(np.argsort(-np.array(moved), kind="stable")[:MAX_INPUTS].tolist()):
+        name, values = fit.inputs[i]
+        yield Panel(
+            f"input: {name}", [Curve(fit.time[rows], values[rows], color="soft", shape="step")], height=80
+        )
 
 
 def widest_gap(fits: Sequence[Fit]) -> float:

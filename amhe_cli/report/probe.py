@@ -77,11 +77,12 @@ def known_table(known: Mapping[str, Any], columns: Mapping[str, str]) -> Table:
 
 
 def _sds(row: Mapping[str, Any], columns: Mapping[str, str]) -> list[str]:
-    def shown(sd: float | None) -> str:
-        if sd is None:
-            return numbers.MISSING
-        return (
-            numbers.percent(sd) if row["relative"] else numbers.quantity(numbers.rounded(sd, sd), row["unit"])
-        )
+    return [sd_text(row, key) for key in columns]
 
-    return [shown(row.get(f"{key}_sd")) for key in columns]
+
+def sd_text(row: Mapping[str, Any], key: str) -> str:
+    """An sd of a parameter, in percent where it is relative."""
+    sd = row.get(f"{key}_sd")
+    if sd is None:
+        return numbers.MISSING
+    return numbers.percent(sd) if row["relative"] else numbers.quantity(numbers.rounded(sd, sd), row["unit"])

@@ -108,7 +108,7 @@ def test_the_examples_of_the_docs_run(tmp_path: Path) -> None:
     printed = python(blocks(ROOT / "docs" / "api.md"), tmp_path)
     assert "no signal 'joint'" in printed
     assert {path.name for path in (tmp_path / "result").iterdir()} == {
-        "belief.yaml", "identified.xml", "report.html", "result.json",
+        "belief.yaml", "identified.xml", "report.html", "result.json", "view.html",
     }  # fmt: skip
 
 

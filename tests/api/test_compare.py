@@ -12,6 +12,8 @@ import pytest
 import amhe_cli as amhe
 from amhe_cli.cli.compare import _parted
 from amhe_cli.engine.open import open_engine
+from amhe_cli.estimation.core.result import AtHorizon
+from amhe_cli.report.comparison import comparison_table, table_text
 from amhe_cli.system.friction_models import friction_models
 from tests.conftest import MODELS
 
@@ -40,6 +42,39 @@ def test_the_model_that_can_follow_the_logs_wins(tmp_path: Path, pendulum_log: P
     page = (tmp_path / "out" / "report.html").read_text()
     assert "pendulum-1 predicts best." in page
     assert (tmp_path / "out" / "pendulum-2" / "identified.xml").is_file()
+
+
+@pytest.mark.medium
+def test_no_model_wins_while_a_search_has_not_ended(
+    pendulum_log: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    free = amhe.System.load("pendulum", QUICK)
+    stiff = free.fixing({"damping": 0.4})
+    logs = [[amhe.read_log(pendulum_log, one)] for one in (free, stiff)]
+    found = amhe.compare([free, stiff], logs, max_time=0.05)
+    assert found.verdicts == (
+        "no model is called better: the search of pendulum-1 and pendulum-2 did not end; give it longer "
+        "(`max_time`)",
+    )
+    assert found.record()["best"] is None
+    stopped = [text for text in caplog.messages if "stopped the search" in text]
+    assert [text.partition(":")[0] for text in stopped] == ["pendulum-1", "pendulum-2"]
+    assert found.warnings[0].startswith("pendulum-1: ") and not found.warnings[0].startswith(
+        "pendulum-1: pend"
+    )
+
+
+def test_the_table_fits_a_terminal_of_80_columns_and_cuts_no_number() -> None:
+    def at(horizon: float, clips: int) -> AtHorizon:
+        ratios = np.array([[1.0, 1 / 7.94], [7.94, 1.0]])
+        return AtHorizon(
+            horizon, clips == 1, clips, {("elbow", "rad"): np.array([0.01, 0.0794])}, ratios, 0.66 * ratios,
+            1.6 * ratios,
+        )  # fmt: skip
+
+    text = table_text(comparison_table(("arm", "another-arm"), [at(0.1, 20), at(2.0, 1)], 0))
+    assert max(map(len, text.splitlines())) <= 80
+    assert "7.94 (5.24 to 12.70)" in text and "too few clips" in text and "4.55°" in text
 
 
 def test_a_shell_pattern_behind_logs(tmp_path: Path) -> None:

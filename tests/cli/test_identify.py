@@ -26,7 +26,7 @@ QUICK = [
     *("--set", "identify.samples=12", "--set", "identify.iterations=3"),
     *("--set", "identify.profile_points=0"),
 ]
-FILES = ["belief.yaml", "identified.xml", "report.html", "result.json"]
+FILES = ["belief.yaml", "identified.xml", "report.html", "result.json", "view.html"]
 
 
 @pytest.fixture(scope="module")

@@ -82,6 +82,16 @@ def test_the_page_begins_with_what_was_missed(groups: Groups) -> None:
     assert re.search(r"t4 adaptive: S_R − true&#39;s is .* %; the goal is ≥ 0", page)
 
 
+def test_a_page_without_goals_says_what_came_out_and_no_run_that_was_cut_short_stands_beside_the_papers(
+    groups: Groups,
+) -> None:
+    study = Study({}, DEFAULTS, duration=3.0)
+    html = study_page(study, groups, {}, [made(groups, "table1")], [])
+    assert "T4: true 3 of 3 at the goal, baseline 0 of 3 at the goal, adaptive 0 of 3 at the goal" in html
+    assert "paper" not in html and "Runs were cut short" in html
+    assert "paper: Adaptive-MHE" in study_page(Study({}, DEFAULTS), groups, {}, [made(groups, "table1")], [])
+
+
 def test_the_operating_point_of_an_ablation_is_marked(groups: Groups) -> None:
     assert [row[1] for row in made(groups, "ablations").rows] == ["8 *", "16"]
 

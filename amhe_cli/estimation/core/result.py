@@ -234,6 +234,7 @@ class Fit:
             to the clip's first measured orientation.
         noise: Noise sd of one column.
         held_out: The clip was not fitted.
+        inputs: Name of each input and its values then, shape (T,).
     """
 
     clip: str
@@ -246,6 +247,7 @@ class Fit:
     identified: FloatArray
     noise: float
     held_out: bool
+    inputs: tuple[tuple[str, FloatArray], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -412,6 +414,7 @@ class Identification:
     unexplained: tuple[str, ...] = ()  # why no value can be believed
     exact: tuple[str, ...] = ()  # settings of numbers of the model that act and are taken as exact
     interrupted: bool = False
+    settled: bool = True  # False: Ctrl-C or the time limit ended the search
     logs: tuple[str, ...] = field(default=())
     spreads: tuple[OwnSpread, ...] = ()
     bodies: tuple[BodyNumber, ...] = ()

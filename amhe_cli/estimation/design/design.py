@@ -107,12 +107,14 @@ class ProbePlan:
         expected: How well the parameters will be known from the probe and the prior.
         plain: How well they would be known from equally long plain motion; None where that is impossible.
         plain_title: Description of the plain motion.
+        tried: Each motion that was tried, and the geometric mean of the sds it would leave over the prior's.
     """
 
     parts: tuple[Part, ...]
     expected: Accuracy
     plain: Accuracy | None
     plain_title: str
+    tried: tuple[tuple[str, float], ...] = ()
 
     @property
     def seconds(self) -> float:
@@ -135,6 +137,7 @@ def plan_record(plan: ProbePlan) -> dict[str, Any]:
         "sequence": [asdict(part) for part in plan.parts],
         "probe_seconds": plan.seconds,
         "plain_title": plan.plain_title,
+        "tried": [{"name": name, "sd_over_prior": sd} for name, sd in plan.tried],
         **known_record({"expected": plan.expected, "plain": plan.plain}),
     }
 

@@ -211,11 +211,14 @@ class ActuatorProbe:
         if chosen is None:
             raise ConfigError(f"{self.system.name}: {nothing_left(broken)}")
         self._chosen = tried[best]
+        prior = float(np.linalg.slogdet(space.prior_precision)[1])
+        left = np.exp((prior - np.array(values)) / (2.0 * len(space)))
         return ProbePlan(
             parts_of([(self._chosen.name, self._chosen.title, options.seconds)]),
             accuracy(space, chosen),
             None if simple is None else accuracy(space, simple),
             tried[0].name,
+            tuple((one.name, float(sd)) for one, sd in zip(tried, left, strict=True) if np.isfinite(sd)),
         )
 
     def excitation(self) -> Excitation:

@@ -78,6 +78,11 @@ class Watch:
         return self.interrupted or self._late
 
     @property
+    def cut_short(self) -> bool:
+        """Whether the search ended before it had settled."""
+        return self.interrupted or self._late
+
+    @property
     def short(self) -> str:
         """Why the values of a search that was cut short explain too little, in words."""
         cause = "it was interrupted" if self.interrupted else f"`max_time` of {self._limit:g} s"

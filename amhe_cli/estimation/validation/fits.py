@@ -29,16 +29,25 @@ def fits(problem: Problem, z: FloatArray, windows: Sequence[Window], held_out: b
     cost = MatchingCost(problem.system, chosen, problem.engine, problem.settings.cost)
     predicted = cost.predict(np.stack((np.zeros_like(z), z)))
     return tuple(
-        fit_of(observed, values[:, i], window, i, held_out)
+        fit_of(observed, values[:, i], window, i, held_out, [one.key for one in problem.system.inputs])
         for i, window in enumerate(chosen)
         for observed, values in zip(cost.clips.observed, map(to_host, predicted.values), strict=True)
         if observed.mask[i].any()
     )
 
 
-def fit_of(observed: Observed, predicted: FloatArray, window: Window, i: int, held_out: bool) -> Fit:
-    """Channel on clip i, its initial and identified predictions of shape (2, samples, columns)."""
+def fit_of(
+    observed: Observed,
+    predicted: FloatArray,
+    window: Window,
+    i: int,
+    held_out: bool,
+    inputs: Sequence[str] = (),
+) -> Fit:
+    """Channel on clip i, its inputs, and its predictions before and after, shape (2, samples, columns)."""
     keep = observed.mask[i]
+    rows = window.start + observed.rows[i, keep] + 1
+    driven = [window.log[key] for key in inputs]
     measured, (initial, identified) = observed.measured[i, keep], predicted[:, keep]
     columns = window.log[observed.channel.series].columns
     columns = columns if observed.channel.part is None else columns[observed.channel.part :][:1]
@@ -57,6 +66,11 @@ def fit_of(observed: Observed, predicted: FloatArray, window: Window, i: int, he
         identified=identified,
         noise=float(np.mean(observed.noise)),
         held_out=held_out,
+        inputs=tuple(
+            (f"{key} {name}", values)
+            for key, one in zip(inputs, driven, strict=True)
+            for name, values in zip(one.columns, one.values[rows].T, strict=False)
+        ),
     )
 
 

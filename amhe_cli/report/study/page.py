@@ -36,7 +36,7 @@ def study_page(
     """
     cells = f"{sum(group.n for group in groups)} cells"
     code, machine = (defaultdict(lambda: MISSING, told) for told in (study.code, study.machine))
-    sections = [Section(t.title, table=t.table, note=t.note) for t in tables] + list(figures)
+    sections = [_section(table, study.cut_short) for table in tables] + list(figures)
     if failures:
         items = [f"{title}: {reason}" for title, reason in failures.items()]
         sections.append(Section("Cells without a result", items=items))
@@ -55,10 +55,30 @@ def study_page(
             f"numpy {code['numpy']}, Python {machine['python']}",
             f"{machine['processor']}, {machine['cores']} cores",
         ),
-        headline=f"{reached} of {len(goals)} goals reached, with {number} seeds." if goals else f"{cells}.",
+        headline=f"{reached} of {len(goals)} goals reached, with {number} seeds."
+        if goals
+        else outcome(groups),
         statements=_statements(study, failures, goals),
         sections=sections,
     )
+
+
+def _section(table: StudyTable, cut_short: bool) -> Section:
+    """A table; runs that were cut short do not stand beside the paper's, which went to their end."""
+    theirs = [name for name in table.table.head if name.startswith("paper: ")]
+    if cut_short and theirs:
+        title = table.title.partition(", beside")[0]
+        return Section(title, table=table.table.without(*theirs), note="Runs were cut short: see above.")
+    return Section(table.title, table=table.table, note=table.note)
+
+
+def outcome(groups: Groups) -> str:
+    """How many runs of each task and mode came to the goal: 'T4: baseline 1 of 3 at the goal, ...'."""
+    tasks: dict[str, list[str]] = {}
+    for group in groups.at_base():
+        reached = int(group.values("success").sum())
+        tasks.setdefault(group.task.upper(), []).append(f"{group.mode} {reached} of {group.n} at the goal")
+    return "; ".join(f"{task}: {', '.join(told)}" for task, told in tasks.items()) + "."
 
 
 def _statements(study: Study, failures: Mapping[str, str], goals: Sequence[Sequence[str]]) -> list[Statement]:
