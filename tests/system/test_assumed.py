@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -208,3 +209,9 @@ def test_zero_says_that_all_is_exact() -> None:
 def test_other_settings_are_refused_in_words(given: dict[str, Any], text: str) -> None:
     with pytest.raises(ConfigError, match=text):
         System.load("pendulum", {"identify": given})
+
+
+def test_a_zero_that_no_parameter_sets_is_no_parameter() -> None:
+    edits = System.load(Path(__file__).parents[2] / "examples" / "systems" / "xl330").edits
+    assert any(not edit.columns for edit in edits._edits), "a declared zero of the encoder"
+    assert edits.taken and not list(edits.considered())

@@ -106,15 +106,17 @@ class ModelEdits:
     def taken(self) -> set[tuple[str, int]]:
         """Field and row of the numbers that parameters set, held ones only where somebody measured them."""
         guessed = {name for name, held in self.held.items() if not held.sd}
-        edits = [e for e in self._edits if self._all.names[e.columns[0]] not in guessed]
+        edits = [e for e in self._edits if not {self._all.names[i] for i in e.columns[:1]} & guessed]
         return {(cells.field, cells.row) for edit in edits for cells in edit.cells}
 
     def considered(self) -> Iterator[tuple[Parameter, Held, ScalarEdit]]:
         """Held parameters that somebody measured, with their values and each of their edits."""
         for edit in (*self._edits, *self._delays.edits):
-            parameter = self._all.parameters[edit.columns[0]]
+            if not isinstance(edit, ScalarEdit):
+                continue
+            parameter = self._all.parameters[edit.column]
             held = self.held.get(parameter.name)
-            if held is not None and held.sd and isinstance(edit, ScalarEdit):
+            if held is not None and held.sd:
                 yield parameter, held, edit
 
     def own(self, model: mujoco.MjModel) -> mujoco.MjModel:
