@@ -8,12 +8,10 @@ import mujoco
 import numpy as np
 
 from amhe_cli.init.drives import (
-    KINDS,
     delay,
     drive_numbers,
     gain_scale,
-    joint_parameter,
-    kin,
+    joint_parameters,
     linear_entry,
     measured_joints,
     moved_by,
@@ -26,8 +24,6 @@ from amhe_cli.system.model.couplings import floats
 _HINGE = (0.05, 0.3)
 #: Prior sd and largest zero of the encoder of a slide [m].
 _SLIDE = (0.005, 0.03)
-#: Numbers of an actuator that are equal where drives are.
-_OF_ACTUATOR = ("gaintype", "biastype", "gainprm", "biasprm", "forcelimited", "forcerange", "gear")
 
 
 def actuator_parameters(
@@ -52,30 +48,10 @@ def actuator_parameters(
         gains: Gain, velocity gain, limit of force and filter of each servo are free, too.
     """
     joints, actuators = measured_joints(model, signals), moved_by(signals)
-    groups = _groups(spec, model, joints) if group else {joint: [joint] for joint in joints}
-    guesses = [
-        joint_parameter(model, f"{name}_{kind}", alike, kind, meaning, _first(model, alike, field), False)
-        for name, alike in groups.items()
-        for kind, field, meaning in KINDS
-    ]
-    guesses += zeros(model, joints, signals)
+    guesses = [*joint_parameters(spec, model, joints, group), *zeros(model, joints, signals)]
     free = drive_numbers(model, actuators, guessed_gains)
     guesses += free if gains else _gains(model, actuators, guessed_gains)
     return [*guesses, *(delay(model.opt.timestep) if actuators else ())]
-
-
-def _groups(spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Sequence[str]) -> dict[str, list[str]]:
-    """Joints whose drives are equal: of one class, or named alike but for the side, and of equal numbers."""
-    alike: dict[tuple[object, ...], list[str]] = {}
-    for joint in joints:
-        kind = spec.joint(joint).classname.name
-        kind_of_drive = kin(joint) if kind == "main" else kind
-        alike.setdefault((kind_of_drive, *_numbers(model, joint)), []).append(joint)
-    groups: dict[str, list[str]] = {}
-    for (kind_of_drive, *_), names in alike.items():
-        name = names[0] if len(names) == 1 or str(kind_of_drive) in groups else str(kind_of_drive)
-        groups[name] = names
-    return groups
 
 
 def ungrouped(parameters: Sequence[Guess]) -> list[str]:
@@ -96,19 +72,6 @@ def floating(model: mujoco.MjModel, signals: Sequence[Guess]) -> list[str]:
         f"the base is not fixed: body {body} has a free joint. Hang the robot up or bolt it down, and delete "
         f"that joint from the model; else the base's motion and contacts hide what the drives do"
     ]
-
-
-def _numbers(model: mujoco.MjModel, joint: str) -> tuple[float, ...]:
-    """What a drive's data sheet would say, at six digits."""
-    row, dof = model.joint(joint).id, int(model.joint(joint).dofadr[0])
-    values = [np.ravel(getattr(model, field)[dof]) for _, field, _ in KINDS]
-    for actuator in np.flatnonzero((model.actuator_trnid[:, 0] == row) & (model.actuator_trntype <= 1)):
-        values += [np.ravel(getattr(model, f"actuator_{name}")[actuator]) for name in _OF_ACTUATOR]
-    return tuple(float(f"{value:.6g}") for value in np.concatenate(values))
-
-
-def _first(model: mujoco.MjModel, group: Sequence[str], field: str) -> float:
-    return float(getattr(model, field)[model.joint(group[0]).dofadr[0]])
 
 
 def zeros(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Guess]) -> Iterator[Guess]:

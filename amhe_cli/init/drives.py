@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import mujoco
@@ -13,8 +13,8 @@ from amhe_cli.init.signals import Guess, single_joints
 from amhe_cli.system.model.couplings import followers
 from amhe_cli.system.model.elements import commanded
 
-#: More actuated joints than this share one parameter of each kind.
-_OWN_PARAMETERS = 3
+#: Numbers of an actuator that are equal where drives are.
+_OF_ACTUATOR = ("gaintype", "biastype", "gainprm", "biasprm", "forcelimited", "forcerange", "gear")
 #: Prior sd (log scale) and range, as a factor, of a number that the model gives.
 _KNOWN = (0.5, 10.0)
 #: Prior sd (log scale) and range, as a factor, of a number that the model leaves at zero.
@@ -55,79 +55,53 @@ def moved_by(signals: Sequence[Guess]) -> list[str]:
     return [name for guess in signals for name in guess.entry.get("actuators", ())]
 
 
-def joint_parameters(model: mujoco.MjModel, joints: Sequence[str]) -> Iterator[Guess]:
-    """Armature, viscous and dry friction of joints; joints alike share them."""
-    for prefix, group in _alike(model, joints).items():
-        for kind, field, meaning in KINDS:
-            values = getattr(model, field)[[_dof(model, joint) for joint in group]]
-            parts = _by_value(group, values)
-            if len(parts) > _OWN_PARAMETERS:  # each joint has a value of its own: one factor on all
-                parts = {0.0: parts.pop(0.0, []), np.nan: [n for part in parts.values() for n in part]}
-            # a part that holds all joints is named after all of them
-            alone = sum(map(bool, parts.values())) == 1
-            for value, names in parts.items():
-                if names:
-                    head = prefix if alone else f"{names[0]}_"
-                    scaled = len(parts) > 1 and value != 0.0
-                    yield joint_parameter(model, f"{head}{kind}", names, kind, meaning, value, scaled)
+def joint_parameters(
+    spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Sequence[str], group: bool
+) -> Iterator[Guess]:
+    """Armature, viscous and dry friction of joints.
 
-
-def joint_parameter(
-    model: mujoco.MjModel,
-    name: str,
-    joints: Sequence[str],
-    kind: str,
-    meaning: str,
-    value: float,
-    scaled: bool,
-) -> Guess:
-    """One parameter of joints with one value; a factor on it where other joints have others."""
-    of = f"of joint {joints[0]}" if len(joints) == 1 else f"of {len(joints)} joints alike"
-    if scaled:
-        targets = [{"joint": joint, "set": kind, "mode": "scale"} for joint in joints]
-        base = "the model's own values" if np.isnan(value) else f"the model's {value:g}"
-        return Guess(
-            f"{name}_scale",
-            entry_of(1.0, False, targets) | {"unit": "-"},
-            f"{meaning}, {of}; factor on {base}",
-        )
-    unknown = not value > 0.0
-    # only the order of magnitude: damping that stops a motion in a second, friction worth 1 rad/s^2,
-    # a tenth of the inertia in the rotor
-    scale = 0.1 if kind == "armature" else 1.0
-    inertia = float(np.median(model.dof_M0[[_dof(model, joint) for joint in joints]]))
-    targets = [{"joint": joint, "set": kind} for joint in joints]
-    note = "the model has none: a guess from the joint's inertia" if unknown else "from the model"
-    entry = entry_of(scale * inertia if unknown else value, unknown, targets)
-    return Guess(name, entry, f"{meaning}, {of}; {note}")
-
-
-def _dof(model: mujoco.MjModel, joint: str) -> int:
-    return int(model.joint(joint).dofadr[0])
-
-
-def _by_value(names: Sequence[str], values: Iterable[float]) -> dict[float, list[str]]:
-    """The names that have each value, to six digits."""
-    parts: dict[float, list[str]] = {}
-    for name, value in zip(names, values, strict=True):
-        parts.setdefault(float(f"{value:.6g}"), []).append(name)
-    return parts
-
-
-def _alike(model: mujoco.MjModel, joints: Sequence[str]) -> dict[str, list[str]]:
-    """Joints with common parameters, by the beginning of these parameters' names.
-
-    Hinges and slides have none in common, because their units differ.
+    Args:
+        spec: The model's source: it has the classes of joints.
+        model: The model.
+        joints: The joints.
+        group: Equal drives share theirs.
     """
-    if len(joints) <= _OWN_PARAMETERS:
-        groups = {f"{joint}_": [joint] for joint in joints}
-    else:
-        groups = {"hinge_": list[str](), "slide_": list[str]()}
-        for joint in joints:
-            slides = int(model.joint(joint).type[0]) == mujoco.mjtJoint.mjJNT_SLIDE
-            groups["slide_" if slides else "hinge_"].append(joint)
-    groups = {name: group for name, group in groups.items() if group}
-    return {"": list(joints)} if len(groups) == 1 else groups
+    groups = _groups(spec, model, joints) if group else {joint: [joint] for joint in joints}
+    for name, alike in groups.items():
+        of = f"of joint {alike[0]}" if len(alike) == 1 else f"of {len(alike)} joints alike"
+        dofs = [int(model.joint(joint).dofadr[0]) for joint in alike]
+        for kind, field, meaning in KINDS:
+            value = float(getattr(model, field)[dofs[0]])
+            # only the order of magnitude: damping that stops a motion in a second, friction worth 1 rad/s^2,
+            # a tenth of the inertia in the rotor
+            usual = (0.1 if kind == "armature" else 1.0) * float(np.median(model.dof_M0[dofs]))
+            note = "from the model" if value > 0.0 else "the model has none: a guess from the joint's inertia"
+            targets = [{"joint": joint, "set": kind} for joint in alike]
+            entry = entry_of(value if value > 0.0 else usual, not value > 0.0, targets)
+            yield Guess(f"{name}_{kind}", entry, f"{meaning}, {of}; {note}")
+
+
+def _groups(spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Sequence[str]) -> dict[str, list[str]]:
+    """Joints whose drives are equal: of one class, or named alike but for the side, and of equal numbers."""
+    alike: dict[tuple[object, ...], list[str]] = {}
+    for joint in joints:
+        kind = spec.joint(joint).classname.name
+        kind_of_drive = kin(joint) if kind == "main" else kind
+        alike.setdefault((kind_of_drive, *_numbers(model, joint)), []).append(joint)
+    groups: dict[str, list[str]] = {}
+    for (kind_of_drive, *_), names in alike.items():
+        name = names[0] if len(names) == 1 or str(kind_of_drive) in groups else str(kind_of_drive)
+        groups[name] = names
+    return groups
+
+
+def _numbers(model: mujoco.MjModel, joint: str) -> tuple[float, ...]:
+    """What a drive's data sheet would say, at six digits."""
+    row, dof = model.joint(joint).id, int(model.joint(joint).dofadr[0])
+    values = [np.ravel(getattr(model, field)[dof]) for _, field, _ in KINDS] + [model.jnt_type[[row]]]
+    for actuator in np.flatnonzero((model.actuator_trnid[:, 0] == row) & (model.actuator_trntype <= 1)):
+        values += [np.ravel(getattr(model, f"actuator_{name}")[actuator]) for name in _OF_ACTUATOR]
+    return tuple(float(f"{value:.6g}") for value in np.concatenate(values))
 
 
 def kin(name: str) -> str:

@@ -23,7 +23,7 @@ from amhe_cli.init.efforts import effort_parameters, effort_signal
 from amhe_cli.init.from_library import Chosen, expect_less, library_parameters
 from amhe_cli.init.gaps import gap_parameters
 from amhe_cli.init.model import add_servos, copy_model, free_root, notes_on_urdf, overlaps
-from amhe_cli.init.parameters import guess_parameters, guessed_masses, sharing
+from amhe_cli.init.parameters import guess_parameters, guessed_masses
 from amhe_cli.init.signals import (
     NOISE,
     Guess,
@@ -147,8 +147,7 @@ def proposed(
         parameters = actuator_parameters(spec, model, guesses, guessed_gains=added, group=group, gains=gains)
         notes += floating(model, guesses) + (ungrouped(parameters) if group else [])
     else:
-        parameters = guess_parameters(model, guesses, guessed_gains=added)
-        notes += sharing(parameters)
+        parameters = guess_parameters(spec, model, guesses, guessed_gains=added)
     told = list[Guess]()
     if drives is not None:
         known = spec, model, parameters, guesses, drives, logs, found, msg_path

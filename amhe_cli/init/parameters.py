@@ -23,6 +23,8 @@ from amhe_cli.init.names import words
 from amhe_cli.init.signals import Guess, free_bodies, joint_of
 from amhe_cli.system.model.elements import names_of
 
+#: More joints than this share the parameters of equal drives.
+_OWN = 3
 #: More ends of chains than this are feet, not tools: their masses are known.
 _TOOLS = 2
 #: Words in the name of a body that is carried.
@@ -35,10 +37,13 @@ _PAYLOAD = "payload"
 _PLACE_SD = 0.01
 
 
-def guess_parameters(model: mujoco.MjModel, signals: Sequence[Guess], guessed_gains: bool) -> list[Guess]:
+def guess_parameters(
+    spec: mujoco.MjSpec, model: mujoco.MjModel, signals: Sequence[Guess], guessed_gains: bool
+) -> list[Guess]:
     """Parameters to start with.
 
     Args:
+        spec: The model's source.
         model: The model.
         signals: Signals of the log; only joints that it moves and measures get parameters.
         guessed_gains: Whether `init` added the actuators, so that the servos' gains are unknown.
@@ -48,7 +53,7 @@ def guess_parameters(model: mujoco.MjModel, signals: Sequence[Guess], guessed_ga
     joints = joints or sorted(measured)
     gains = [*servo_gains(model, moved)] if guessed_gains else []
     return [
-        *joint_parameters(model, joints),
+        *joint_parameters(spec, model, joints, len(joints) > _OWN),
         *_masses(model, joints, signals),
         *_frictions(model, signals),
         *(gains or gain_scale(model, moved)),
@@ -59,14 +64,6 @@ def guess_parameters(model: mujoco.MjModel, signals: Sequence[Guess], guessed_ga
 def guessed_masses(model: mujoco.MjModel, signals: Sequence[Guess]) -> list[Guess]:
     """The masses that a log of some joints may determine, beside what else is unknown."""
     return list(_masses(model, measured_joints(model, signals), signals))
-
-
-def sharing(parameters: Sequence[Guess]) -> list[str]:
-    """What to do where joints share parameters that are not theirs together."""
-    shared = [g.name for g in parameters if sum("joint" in target for target in g.entry["targets"]) > 1]
-    if not shared:
-        return []
-    return [f"joints share {', '.join(shared)}: `actuators` gives each joint values of its own"]
 
 
 def _masses(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Guess]) -> Iterator[Guess]:

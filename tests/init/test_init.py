@@ -83,10 +83,9 @@ def test_a_walker_is_matched_by_name_whatever_the_order(tmp_path: Path, walker_l
 
 def test_many_joints_share_their_parameters(tmp_path: Path, walker_log: Path) -> None:
     system, _, _ = made(tmp_path, walker(), [walker_log])
+    kinds = ("damping", "friction_loss", "armature")
     assert set(system.space.names) == {
-        "damping",
-        "friction_loss",
-        "armature",
+        *(f"{part}_joint_{kind}" for part in ("hip", "thigh", "calf") for kind in kinds),
         "trunk_mass",
         "crate_mass",
         "crate_inertia_scale",
@@ -95,8 +94,8 @@ def test_many_joints_share_their_parameters(tmp_path: Path, walker_log: Path) ->
         "command_delay",
     }
     edited = system.edits.apply(system.model, system.space.nominal * 1.5)
-    damping = system.space.names.index("damping")
-    np.testing.assert_allclose(edited.dof_damping[6:18], 1.5 * system.space.nominal[damping])
+    damping = [system.space.names.index(f"{part}_joint_damping") for part in ("hip", "thigh", "calf")]
+    np.testing.assert_allclose(edited.dof_damping[6:18], np.tile(1.5 * system.space.nominal[damping], 4))
 
 
 def test_a_zero_in_the_model_becomes_a_positive_guess(tmp_path: Path, walker_log: Path) -> None:
@@ -290,7 +289,8 @@ def test_the_bundled_pendulum_is_found_again(system: str, log: str, tmp_path: Pa
         pytest.skip(f"{log} has not been made yet")
     init_system(root / "models" / system / "scene.xml", [root / log], tmp_path / "out")
     own, bundled = System.load(tmp_path / "out"), System.load(root / "models" / system)
-    assert set(own.space.names) == {*bundled.space.names, "gain_scale", "command_delay"}
+    names = {name.removeprefix("hinge_") for name in own.space.names}
+    assert names == {*bundled.space.names, "gain_scale", "command_delay"}
     assert [signal.topic for signal in own.signals] == [signal.topic for signal in bundled.signals]
 
 
@@ -394,36 +394,34 @@ STRUCTURE = """
 """
 
 
-def structured() -> mujoco.MjModel:
+def structured() -> mujoco.MjSpec:
     legs = "".join(
         f"<body name='{side}_foot'><geom size='0.02' mass='0.2'/>"
-        f"<joint name='{side}_hip' axis='0 1 0' damping='{damping}' armature='{armature}'/></body>"
+        f"<joint name='{side}_hip' axis='0 1 0' damping='{damping}' armature='{armature // 2}'/></body>"
         for armature, (side, damping) in enumerate(
-            [("FL", 200), ("FR", 200), ("RL", 200), ("RR", 15), ("X", 15)], start=1
+            [("FL", 200), ("FR", 200), ("RL", 200), ("RR", 15), ("X", 15)]
         )
     )
-    return mujoco.MjModel.from_xml_string(STRUCTURE.format(legs=legs))
+    return mujoco.MjSpec.from_string(STRUCTURE.format(legs=legs))
 
 
-def guessed(model: mujoco.MjModel, joints: list[str]) -> dict[str, dict]:
+def guessed(spec: mujoco.MjSpec, joints: list[str]) -> dict[str, dict]:
     signals = [
         Guess("joints", {"topic": "/j", "joints": joints}, ""),
         *(Guess(body, {"topic": f"/{body}", "body": body}, "") for body in ("base", "crate")),
     ]
-    return {guess.name: guess.entry for guess in guess_parameters(model, signals, guessed_gains=False)}
+    return {guess.name: guess.entry for guess in guess_parameters(spec, spec.compile(), signals, False)}
 
 
-def test_joints_keep_the_structure_of_the_models_values() -> None:
+def test_joints_alike_share_their_parameters_where_there_are_many() -> None:
     joints = ["FL_hip", "FR_hip", "RL_hip", "RR_hip", "X_hip"]
     found = guessed(structured(), joints)
-    scales = {name: entry for name, entry in found.items() if "damping" in name}
-    assert list(scales) == ["FL_hip_damping_scale", "RR_hip_damping_scale"]
-    assert [target["joint"] for target in scales["FL_hip_damping_scale"]["targets"]] == joints[:3]
-    assert all(entry["nominal"] == 1.0 and entry["unit"] == "-" for entry in scales.values())
-    assert all(target["mode"] == "scale" for entry in scales.values() for target in entry["targets"])
-    # five armatures of their own have one factor; no friction loss is one guess, as before
-    assert [t["joint"] for t in found["armature_scale"]["targets"]] == joints
-    assert found["friction_loss"]["prior_sd"] == 1.0 and len(found["friction_loss"]["targets"]) == 5
+    assert [target["joint"] for target in found["hip_damping"]["targets"]] == joints[:2]
+    assert (found["hip_damping"]["nominal"], found["hip_damping"]["prior_sd"]) == (200.0, 0.5)
+    assert found["X_hip_damping"]["nominal"] == 15.0
+    assert found["hip_friction_loss"]["prior_sd"] == 1.0  # the model has none
+    few = guessed(structured(), joints[:2])
+    assert {"FL_hip_damping", "FR_hip_damping"} <= set(few)
 
 
 def test_a_casters_friction_is_not_the_wheels_and_feet_are_one_parameter() -> None:
@@ -437,14 +435,14 @@ def test_a_casters_friction_is_not_the_wheels_and_feet_are_one_parameter() -> No
 
 def test_pairs_alike_are_one_parameter() -> None:
     feet = "".join(f"<body><freejoint/><geom name='{side}_foot' size='0.1'/></body>" for side in ("FL", "RR"))
-    model = mujoco.MjModel.from_xml_string(
+    spec = mujoco.MjSpec.from_string(
         f"""<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1"/>{feet}
         <body name="box"><freejoint/><geom name="box" size="0.1"/></body></worldbody>
         <contact><pair name="FL_foot_floor" geom1="FL_foot" geom2="floor"/>
           <pair name="RR_foot_floor" geom1="RR_foot" geom2="floor"/>
           <pair name="box_floor" geom1="box" geom2="floor"/></contact></mujoco>"""
     )
-    found = {guess.name: guess.entry for guess in guess_parameters(model, [], guessed_gains=False)}
+    found = {guess.name: guess.entry for guess in guess_parameters(spec, spec.compile(), [], False)}
     assert [t["pair"] for t in found["foot_floor_friction"]["targets"]] == ["FL_foot_floor", "RR_foot_floor"]
     assert [t["pair"] for t in found["box_floor_friction"]["targets"]] == ["box_floor"]
 

@@ -118,7 +118,7 @@ def test_hinges_and_slides_share_no_parameter(tmp_path: Path) -> None:
     more = FINGERS + FINGERS.replace("left", "third").replace("right", "fourth")
     joints = (*ARM, "left", "right", "third", "fourth")
     system, _ = made(tmp_path, robot(more=more), recorded(tmp_path / "a.mcap", joints, driven=joints))
-    assert {"slide_damping", "hinge_armature"} <= set(system.space.names)
+    assert {"left_damping", f"{ARM[0]}_armature"} <= set(system.space.names)
     assert not any(ARM[0] in words and "left" in words for words in system.sets.values())
 
 
