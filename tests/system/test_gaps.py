@@ -138,6 +138,8 @@ def test_the_zero_of_an_encoder_moves_drive_and_link(tmp_path: Path) -> None:
     moved = [model.qpos0[model.joint(name).qposadr[0]] for name in ("elbow", "elbow_drive", "shoulder")]
     np.testing.assert_allclose(moved, [0.1, 0.1, 0.0])
     np.testing.assert_allclose(model.tendon_range[0], [-0.025, 0.025])
+    assert ("qpos0", int(model.joint("elbow").qposadr[0])) in system.edits.taken
+    assert not list(system.edits.considered())
 
 
 def test_a_joint_without_a_gap_is_refused_with_what_to_do() -> None:
