@@ -307,8 +307,7 @@ def program(port: int, plan: bool) -> None:
         _wait(link, Phase.RUN)
         if plan:
             threading.Thread(target=_plan, args=(stop, work), daemon=True).start()
-        assert link._child is not None
-        print("running", link._child.process.pid, flush=True)
+        print("running", link.process.pid, flush=True)
         pose_time = clock.now()
         while not stop.wait(0.02) and link.report.phase == Phase.RUN:
             now = clock.now()

@@ -15,12 +15,14 @@ from amhe_cli.core.log import Window
 from amhe_cli.core.settings import MheSettings
 from amhe_cli.core.statistics import Z90
 from amhe_cli.engine.rollout import Engine
+from amhe_cli.estimation.online.considered import Considered
 from amhe_cli.estimation.online.prior import prior_of, with_model_error
 from amhe_cli.estimation.online.updates import (
     Noise,
     Outcome,
     WindowProblem,
     fit_window,
+    kept_error,
     linearised_update,
     logrank_update,
 )
@@ -165,6 +167,7 @@ class MovingHorizon:
         self._jump = JumpTest(setting.jump, setting.jump_windows)
         self._pace = Pace()
         self._last: float | None = None
+        self._considered = Considered(system, engine)
 
     def update(self, window: Window, at: float, budget: float | None = None) -> Estimate:
         """Learn from the newest window.
@@ -210,7 +213,12 @@ class MovingHorizon:
         self._jump = self._jump.after(fit.innovation)
         if self._jump.jumped:
             prior = prior.inflated(np.full(prior.z.size, setting.jump_sd**2))
-        return linearised_update(problem, fit, prior)
+        outcome = linearised_update(problem, fit, prior)
+        excited = outcome.excitation >= setting.excitation and np.isfinite(outcome.before + outcome.after)
+        if fit.information is not None and excited:
+            kept = kept_error(problem, prior, fit.information)
+            self._considered.after(problem.cost, problem.prior.z, fit, kept)
+        return outcome
 
     def _accept(self, outcome: Outcome) -> Mark:
         """Take over the outcome, unless the window diverged or has too little excitation."""
@@ -226,6 +234,7 @@ class MovingHorizon:
     def _estimate(self, at: float, mark: Mark, outcome: Outcome | None, begun: float) -> Estimate:
         space = self._system.space
         belief = with_model_error(space, self._belief, self._settings.systematic)
+        belief = replace(belief, covariance=belief.covariance + self._considered.covariance)
         theta = space.theta_of(belief.z)
         phi_sd = belief.sd * space.prior_sd
         lower, upper = (space.theta_of(space.clip(belief.z + side * Z90 * belief.sd)) for side in (-1.0, 1.0))

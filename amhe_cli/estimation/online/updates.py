@@ -258,12 +258,26 @@ def _posterior_step(
     (Joseph's form), as for parameters that are considered rather than estimated (Schmidt 1966).
     """
     share = problem.share * problem.settings.information
-    matrix, precision = share * found.matrix[0], np.linalg.inv(prior.covariance)
-    weighted = precision + np.diag(problem.settings.weights(problem.cost.system.space.names))
-    gain: FloatArray = np.asarray(np.linalg.inv(matrix + weighted), dtype=np.float64)
+    gain, matrix, weighted = _gain(problem, prior, found)
     kept = np.eye(z.size) - gain @ matrix
     covariance = kept @ prior.covariance @ kept.T + gain @ matrix @ gain.T
     return -gain @ (share * found.score[0] + weighted @ (z - prior.z)), covariance
+
+
+def _gain(
+    problem: WindowProblem, prior: Gaussian, found: Information
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Gain of a step, information that counts, and weight of the prior, each (d, d)."""
+    matrix = problem.share * problem.settings.information * found.matrix[0]
+    weights = problem.settings.weights(problem.cost.system.space.names)
+    weighted = np.linalg.inv(prior.covariance) + np.diag(weights)
+    return np.asarray(np.linalg.inv(matrix + weighted), dtype=np.float64), matrix, weighted
+
+
+def kept_error(problem: WindowProblem, prior: Gaussian, found: Information) -> FloatArray:
+    """How much of an error of z before an update is left after it, shape (d, d)."""
+    gain, matrix, _ = _gain(problem, prior, found)
+    return np.eye(len(matrix)) - gain @ matrix
 
 
 def logrank_update(problem: WindowProblem) -> Outcome:

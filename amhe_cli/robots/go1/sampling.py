@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.samples import Samples, Thinner, since
-from amhe_cli.robots.go1.state import Body, State
+from amhe_cli.robots.go1.state import State
 
 #: Time between two samples of joints and IMU [s].
 SAMPLE_PERIOD = 0.01
@@ -38,7 +36,11 @@ class Sampler:
             **since(commands, begun),
         }
         self._last = estimate
-        return {key: (times, _single(values)) for key, (times, values) in samples.items()}
+        # single precision: half of a log's size, and more digits than any sensor has
+        return {
+            key: (times, np.asarray(values, dtype=np.float32).astype(np.float64))
+            for key, (times, values) in samples.items()
+        }
 
     def _with_twists(self, seen: Samples, now: State) -> Samples:
         """Measured poses, with twists interpolated between the last cycle's estimate and this one's."""
@@ -46,25 +48,10 @@ class Sampler:
         samples = dict(seen)
         for name in ("trunk", "box"):
             times, _ = seen[f"{name}.position"]
-            share = _share(times, before.time, now.time)[:, None]
-            velocity, rate = _twists(getattr(before, name), getattr(now, name), share)
-            samples[f"{name}.linear_velocity"] = times, velocity
-            samples[f"{name}.angular_velocity"] = times, rate
+            passed = max(now.time - before.time, 1e-9)
+            share = np.clip((times - before.time) / passed, 0.0, 1.0)[:, None] if self._last else 1.0
+            for key, field in (("linear_velocity", "velocity"), ("angular_velocity", "rate")):
+                twists = [getattr(getattr(state, name), field) for state in (before, now)]
+                start, end = (np.tile(twist, (times.size, 1)) for twist in twists)
+                samples[f"{name}.{key}"] = times, start + share * (end - start)
         return samples
-
-
-def _share(times: FloatArray, start: float, end: float) -> FloatArray:
-    return np.clip((times - start) / (end - start), 0.0, 1.0) if end > start else np.ones(times.size)
-
-
-def _twists(before: Body, after: Body, share: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Velocities and rates between two states, shape (n, 3) each; `share` has shape (n, 1)."""
-    return (
-        before.velocity + share * (after.velocity - before.velocity),
-        before.rate + share * (after.rate - before.rate),
-    )
-
-
-def _single(values: ArrayLike) -> FloatArray:
-    """Convert to single precision: half of a log's size, and more digits than any sensor has."""
-    return np.asarray(values, dtype=np.float32).astype(np.float64)

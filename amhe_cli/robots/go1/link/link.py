@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import signal
+import subprocess
 import threading
 import time
 from collections.abc import Iterator
@@ -64,6 +65,12 @@ class Link(Opened):
     def report(self) -> SenderReport:
         """The newest report of the sender."""
         return self._watch.report if self._watch else SenderReport()
+
+    @property
+    def process(self) -> subprocess.Popen[bytes]:
+        """The process of the sender."""
+        assert self._child is not None, "the link is open"
+        return self._child.process
 
     @property
     def late(self) -> list[str]:

@@ -7,6 +7,7 @@ import socket
 from dataclasses import dataclass
 
 from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.robots.go1.known import latency_of
 from amhe_cli.robots.go1.link.calibration import Calibration
 from amhe_cli.robots.go1.link.child import planning_first
 from amhe_cli.robots.go1.link.clock import Clock
@@ -62,7 +63,7 @@ def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = Non
     clock = _clock(wire, settings)
     feed = PoseFeed(_feed(wire, settings))
     link = Link(wire.host, wire.port, settings, clock, wire.keys)
-    target = Go1Target(link, feed, settings, clock, period, task.box)
+    target = Go1Target(link, feed, settings, clock, period, task.box, latency_of(system))
     samples = generator(options.seed, "samples")
     with planning_first() as (cores, _):  # the threads of its rollouts, too
         threads = min(options.threads, cores)

@@ -59,6 +59,7 @@ class Go1Target(Opened):
         clock: The program's clock.
         period: Control period [s].
         box: The task's box, where it is at the start.
+        latency: Time that the robot itself takes to act on a command, as far as it is known [s].
 
     Attributes:
         begun: Whether the robot has been commanded to stand up.
@@ -68,10 +69,18 @@ class Go1Target(Opened):
     parameters: dict[str, float] | None = None
 
     def __init__(
-        self, link: Link, feed: PoseFeed, settings: Go1Settings, clock: Clock, period: float, box: Box
+        self,
+        link: Link,
+        feed: PoseFeed,
+        settings: Go1Settings,
+        clock: Clock,
+        period: float,
+        box: Box,
+        latency: float = 0.0,
     ) -> None:
         self._link, self._feed, self._settings, self._clock = link, feed, settings, clock
-        self._period, self._box = period, np.array([*box.position, 0.5 * box.size[2]])
+        self._period, self._latency = period, latency
+        self._box = np.array([*box.position, 0.5 * box.size[2]])
         self._world = World.same()
         self._start = 0.0
         self._time = 0.0
@@ -211,8 +220,8 @@ class Go1Target(Opened):
 
     @property
     def _lead(self) -> float:
-        """Time that a command takes to the robot [s]: plans are handed over so much earlier."""
-        return 0.5e-3 * self.report.contact.get("round_trip_ms", 0.0)
+        """Time that a command takes to act [s]: plans are handed over so much earlier."""
+        return 0.5e-3 * self.report.contact.get("round_trip_ms", 0.0) + self._latency
 
     def in_force(self, at: float) -> FloatArray:
         """See `Target`."""

@@ -166,13 +166,13 @@ class ProbeTask(Task):
 
 #: Free walking, which reveals the robot's own numbers: seconds, speed ahead [m/s], yaw rate [rad/s].
 _STROLL = (
-    (1.5, 0.3, 0.0), (1.2, -0.25, 0.0), (1.0, 0.0, 0.5), (1.0, 0.45, 0.0), (1.5, -0.3, 0.0), (1.0, 0.0, -0.5),
-    (0.8, 0.2, -0.4), (0.8, -0.2, 0.4), (1.2, 0.0, 0.0),
+    (1.5, -0.3, 0.0), (1.2, 0.2, 0.0), (1.0, 0.0, 0.5), (1.5, -0.4, 0.0), (1.0, 0.45, 0.0), (1.0, 0.0, -0.5),
+    (0.8, -0.2, -0.4), (0.8, 0.2, 0.4), (1.2, 0.0, 0.0),
 )  # fmt: skip
 
 
 class Stroll(Helm):
-    """Walks ahead and back and turns, without touching the box, which stands further ahead."""
+    """Walks back and ahead and turns, away from the box, which nothing touches."""
 
     def reference(self, state: State) -> Reference:
         """See `Helm`."""
@@ -199,8 +199,8 @@ class WalkTask(ProbeTask):
 
 #: The task of `amhe probe --task walk`.
 WALK = WalkTask(
-    "walk", "free walking", Box(position=(1.5, 0.0)), Course((1.5, 0.0), 0.0, _LENGTH), LONGEST,
-    motion=Motion("stroll", "walk ahead and back, turn, and step in place", (Segment(10.0, 0.2),)),
+    "walk", "free walking", Box(), Course(_PLACE, 0.0, _LENGTH), LONGEST,
+    motion=Motion("stroll", "walk back and ahead, turn, and step in place", (Segment(10.0, 0.2),)),
 )  # fmt: skip
 
 

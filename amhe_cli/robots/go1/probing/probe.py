@@ -168,7 +168,7 @@ class PushProbe:
         from amhe_cli.robots.go1.link.open import open_go1_run
 
         task = self._as_it_is(motion, seconds)
-        options = self._run_options(task, self._options.seed, "adaptive")
+        options = self._run_options(task, self._options.seed, "baseline" if self._walks else "adaptive")
         return open_go1_run(replace(options, target="go1"), robot.wire, task)
 
     def _information(self, motion: Motion, number: int, z: FloatArray) -> FloatArray:

@@ -201,21 +201,6 @@ def test_a_turned_and_shifted_world_costs_the_same(seed: int, yaw: float) -> Non
             assert float(after[name]) == pytest.approx(float(term), rel=1e-9, abs=1e-9), name
 
 
-def test_motions_of_many_rollouts_at_once() -> None:
-    trunk, box = scene()
-    shape, rng = (5, 7), np.random.default_rng(0)
-    many = [
-        Body(*(np.tile(getattr(body, field.name), (*shape, 1)) for field in fields(Body)))
-        for body in (trunk, box)
-    ]
-    speeds = many[1].velocity + rng.normal(size=(*shape, 3)) * X
-    terms = push_terms(
-        PUSH, many[0], replace(many[1], velocity=speeds), HEIGHT, reference(), 0.02 * np.arange(7.0)
-    )
-    assert {term.shape for term in terms.values()} == {shape}
-    np.testing.assert_allclose(terms["box_speed"], PUSH.box_speed * (speeds[..., 0] - SPEED) ** 2)
-
-
 @FEW
 @given(yaw=ANGLE, lean=st.floats(0.0, 1.5), way=ANGLE)
 def test_heading_and_lean_of_a_quaternion(yaw: float, lean: float, way: float) -> None:
@@ -225,14 +210,6 @@ def test_heading_and_lean_of_a_quaternion(yaw: float, lean: float, way: float) -
     for sign in (1.0, -1.0):
         assert float(tilt_squared(sign * q)) == pytest.approx(np.sin(lean) ** 2, abs=1e-12)
         assert float(wrapped(yaw_of(sign * q) - yaw_of(q))) == pytest.approx(0.0)
-
-
-@FEW
-@given(angle=st.floats(-20.0, 20.0))
-def test_a_wrapped_angle_is_the_same_angle(angle: float) -> None:
-    found = float(wrapped(angle))
-    assert -np.pi <= found <= np.pi
-    assert np.exp(1j * found) == pytest.approx(np.exp(1j * angle))
 
 
 def test_the_bumper_is_seen_in_the_box_s_frame() -> None:

@@ -268,8 +268,7 @@ def test_a_sender_that_is_to_be_suspended_or_to_quit_damps_instead(
         link.connect()
         link.stand()
         puppet.wait(lambda got: got.kp[0] > 10.0)
-        assert link._child is not None
-        sender = link._child.process.pid
+        sender = link.process.pid
         assert os.getsid(sender) == sender  # keys of our terminal do not reach it as signals
         os.kill(sender, number)
         puppet.wait(damps)
@@ -292,13 +291,12 @@ def test_a_sender_that_dies_or_hangs_is_stood_in_for(
         link.connect()
         link.stand()
         puppet.wait(lambda got: got.kp[0] > 10.0)
-        assert link._child is not None
         monkeypatch.setattr(socket, "socket", Mock(side_effect=OSError(errno.EMFILE, "Too many open files")))
-        link._child.process.send_signal(number)
+        link.process.send_signal(number)
         puppet.wait(damps)
         with pytest.raises(StoppedError, match=message):
             wait_for(link, Phase.READY)
-    assert link._child.process.returncode == -signal.SIGKILL
+    assert link.process.returncode == -signal.SIGKILL
     assert (link.report.phase, link.report.trip) == (Phase.OVER, "sender_lost")
     end = time.monotonic() + 10.0
     while puppet.received[-1][1].kd.max() > 0.0 and time.monotonic() < end:  # until it has read all
@@ -350,10 +348,10 @@ def test_a_signal_after_the_sender_has_died_is_no_exception(
     before = signal.signal(signal.SIGUSR1, lambda *_: None)
     try:
         with a_link(puppet) as link:
-            link._wait_for_sender()
-            assert link._child is not None
-            link._child.process.kill()
-            link._child.process.wait()
+            while not link.report.contact:
+                time.sleep(0.002)
+            link.process.kill()
+            link.process.wait()
             signal.raise_signal(signal.SIGUSR1)
     finally:
         signal.signal(signal.SIGUSR1, before)
@@ -363,9 +361,9 @@ def test_a_signal_after_the_sender_has_died_is_no_exception(
 def test_a_sender_that_hangs_before_anything_moved_is_one_line(puppet: Puppet) -> None:
     puppet.mangle = lambda packet: None
     with a_link(puppet) as link:
-        link._wait_for_sender()
-        assert link._child is not None
-        link._child.process.send_signal(signal.SIGSTOP)
+        while not link.report.contact:
+            time.sleep(0.002)
+        link.process.send_signal(signal.SIGSTOP)
         with pytest.raises(StoppedError, match="hangs"):
             link.connect()
     assert not any(map(damps, [command for _, command in puppet.received]))
@@ -378,28 +376,21 @@ def test_a_sender_that_stalled_damps_when_it_goes_on(puppet: Puppet) -> None:
         running(link)
         player = Player(link)
         puppet.wait(lambda got: bool(np.allclose(got.position, HOME + 0.1, atol=1e-3)))
-        assert link._child is not None
-        link._child.process.send_signal(signal.SIGSTOP)
+        link.process.send_signal(signal.SIGSTOP)
         time.sleep(0.4)
         count = len(puppet.received)
-        link._child.process.send_signal(signal.SIGCONT)
+        link.process.send_signal(signal.SIGCONT)
         puppet.wait(damps)
         player.stop.set()
     assert link.report.trip == "stalled"
     assert all(got.kp.max() == 0.0 for _, got in puppet.received[count + 1 :])
 
 
-def test_a_plan_that_waited_in_the_pipe_is_as_old_as_it_is() -> None:
-    ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    ours, theirs = map(Pipe, ends)
-    sender = Sender(QUICK, None, theirs, CLOCK, -1, -1, False)  # type: ignore[arg-type]
-    sent = CLOCK.now() - 0.5
-    plan = Targets(sent, 0.02, np.tile(HOME, (16, 1)))
-    ours.send({"plan": plan, "pose_time": sent - 0.1, "plan_time": sent})
-    sender._read_pipe()
-    assert (sender._inbox.plan_time, sender._inbox.pose_time) == (sent, sent - 0.1)
-    ours.close()
-    theirs.close()
+def test_a_plan_that_waited_in_the_pipe_is_as_old_as_it_is_and_the_first_reason_to_stop_stays() -> None:
+    inbox, plan = mail.Inbox(), Targets(1.0, 0.02, np.tile(HOME, (16, 1)))
+    for news in ({"plan": plan, "pose_time": 0.9, "plan_time": 1.0}, {"stop": "first"}, {"stop": "second"}):
+        inbox.take(news)
+    assert (inbox.plan, inbox.plan_time, inbox.pose_time, inbox.stop) == (plan, 1.0, 0.9, "first")
 
 
 def test_what_a_process_said_last_is_read_after_it_has_gone() -> None:
@@ -425,7 +416,7 @@ signal.signal(signal.SIGINT, lambda *_: None)
 with Link("127.0.0.1", int(sys.argv[1]), QUICK, Clock()) as link:
     running(link)
     player = Player(link)
-    print("running", link._child.process.pid, flush=True)
+    print("running", link.process.pid, flush=True)
     time.sleep(30)
 """
 
@@ -475,7 +466,7 @@ with Link("127.0.0.1", int(sys.argv[1]), QUICK, Clock()) as link:
     link.connect()
     link.stand()
     time.sleep(0.3)
-    link._child.process.kill()
+    link.process.kill()
     while link.report.phase != Phase.DAMP:
         time.sleep(0.002)
     threading.Thread(target=interrupt, daemon=True).start()
@@ -549,26 +540,6 @@ def test_the_setting_of_the_checksum_holds_for_states_too(puppet: Puppet) -> Non
     puppet.mangle = lambda packet: state.encode(state.decode(packet), "encrypted")
     with a_link(puppet, QUICK.model_copy(update={"crc": "encrypted"})) as link:
         link.connect()
-
-
-@pytest.mark.parametrize("step", [2.0, -2.0])
-def test_a_calendar_clock_that_is_set_changes_no_time_of_arrival(
-    monkeypatch: pytest.MonkeyPatch, step: float
-) -> None:
-    true = time.time
-    with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot,
-        closing(connected("127.0.0.1", bound_port(robot))) as end,
-    ):
-        ours = RobotSocket(end, CLOCK)
-        ours.send(b"hello")
-        _, peer = robot.recvfrom(9)
-        before = CLOCK.now()
-        robot.sendto(b"state", peer)
-        monkeypatch.setattr(time, "time", lambda: true() + step)
-        ((datagram, arrival),) = ours.received(CLOCK.now() + 0.01)
-    assert datagram == b"state"
-    assert before <= arrival <= CLOCK.now()
 
 
 def test_what_waited_unread_is_as_old_as_it_may_be() -> None:
