@@ -4,7 +4,7 @@
     amhe watch --system pendulum --source ros2 --set live.interface=127.0.0.1
 
 A payload is put on it after ten seconds. Its joint states come at 500 Hz with the sensors' noise, and up to
-3 ms late, over DDS, Zenoh or UDP.
+3 ms late, over DDS, Zenoh or UDP; with --unitree over DDS as those of a Unitree robot: /lowstate, /lowcmd.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from rosbags.typesys import Stores, get_typestore
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from amhe_cli.logs.messages.definitions import Definitions
 from amhe_cli.system.system import System
@@ -64,6 +65,7 @@ def arguments() -> argparse.Namespace:
     """Of the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--transport", choices=("dds", "zenoh", "udp"), default="dds")
+    parser.add_argument("--unitree", action="store_true", help="dds: motor 0 of a Unitree robot")
     parser.add_argument("--domain", type=int, default=0)
     parser.add_argument("--connect", default="tcp/localhost:7447", help="zenoh: the router")
     parser.add_argument("--port", type=int, default=9870, help="udp")
@@ -102,6 +104,8 @@ def sender_of(chosen: argparse.Namespace) -> Callable[[str, float, Any, Any], No
 
         transport = Dds((), Definitions(), chosen.domain, "127.0.0.1", ())
     atexit.register(transport.close)
+    if chosen.unitree:
+        return unitree(transport)
     store = get_typestore(Stores.LATEST)
     kinds = store.types
 
@@ -114,6 +118,42 @@ def sender_of(chosen: argparse.Namespace) -> Callable[[str, float, Any, Any], No
             effort=np.zeros(0),
         )  # fmt: skip
         transport.publish(topic, STATE, bytes(store.serialize_cdr(message, STATE)))
+
+    return send
+
+
+def unitree(transport: Any) -> Callable[[str, float, Any, Any], None]:
+    """Sends state and command of a Unitree robot's first motor; they have no stamp."""
+    store = get_typestore(Stores.EMPTY)
+    for kind in ("LowState", "LowCmd"):
+        name = f"unitree_go/msg/{kind}"
+        store.register(get_types_from_msg(Definitions().described(name)[0], name))
+
+    def zero(kind: str) -> Any:
+        """A message of zeros."""
+        values = {}
+        for name, (node, detail) in store.fielddefs[kind][1]:
+            element, size = detail if node == Nodetype.ARRAY else ((node, detail), 0)
+            plain = element[0] == Nodetype.BASE
+            if size:
+                number = element[1][0]
+                values[name] = np.zeros(size, number) if plain else [zero(element[1]) for _ in range(size)]
+            else:
+                values[name] = 0 if plain else zero(element[1])
+        return store.types[kind](**values)
+
+    state, command = zero("unitree_go/msg/LowState"), zero("unitree_go/msg/LowCmd")
+
+    def send(topic: str, stamp: float, position: Any, velocity: Any) -> None:
+        if topic == "/joint_states":
+            state.motor_state[0].q, state.motor_state[0].dq = float(position[0]), float(velocity[0])
+            state.tick = round(1e3 * stamp) % 2**32
+            message, topic = state, "/lowstate"
+        else:
+            command.motor_cmd[0].q = float(position[0])
+            message, topic = command, "/lowcmd"
+        kind = type(message).__msgtype__
+        transport.publish(topic, kind, bytes(store.serialize_cdr(message, kind)))
 
     return send
 
