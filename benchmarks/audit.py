@@ -39,7 +39,7 @@ from amhe_cli.logs import read_log
 
 #: Noise of encoders [rad], delay of commands [s], rows of a log per second.
 NOISE, LATE, HZ = 3e-4, 0.008, 100
-#: A number can be told where a right test would see it so many sd away.
+#: A number can be told where the truth is so many sd away, of the log and the data sheet together.
 TOLD = 4.0
 FILES = {
     "arm3": PROJECT / "examples" / "logs" / "arm.xml",
@@ -186,8 +186,8 @@ def trial(seed: int, robot: str, seconds: float) -> dict[str, Any]:
     for name in wrong:
         line = said[name]
         claim = next(c for c in found.claims if c.parameter == name)
-        sd = np.hypot(line.sd, claim.sd * (abs(line.log) if claim.log else 1.0))
-        told.append(bool(abs(drawn[name] - line.file) > TOLD * sd))
+        sd = np.hypot(line.sd / line.log if claim.log else line.sd, claim.sd)  # on the scale of the test
+        told.append(bool(abs(claim.phi(float(drawn[name])) - claim.phi(line.file)) > TOLD * sd))
         hit.append(line.verdict == "contradicted")
     false = [
         line.parameter

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,8 @@ from amhe_cli.system.system import System
 
 #: Searches until no more number stands out, at most.
 _ROUNDS = 8
+#: Clips of the first searches where motions are matched.
+_FEW = 8
 #: Share by which the cost may rise, by chance, where more is left open.
 _RISES = 1e-3
 #: States of a log that a number is weighed along.
@@ -136,45 +139,51 @@ def audit(
         raise ConfigError("the model says no number of a joint that the log measures")
     doubts, logs = doubts_of(proposal), tuple[Log, ...]()
 
-    def searched(wide: Collection[Group], near: FloatArray | None) -> Search:
+    def searched(wide: Collection[Group], near: FloatArray | None, clips: int | None) -> Search:
         nonlocal logs
         guesses = [claim.guess(claim.group not in wide) for claim in claims]
         system = replace(proposal, parameters=[*guesses, *doubts]).system(name, settings)
         logs = logs or tuple(read(system))
-        return searched_for(system, logs, None, options, progress, quick=True, near=near)
+        return searched_for(system, logs, None, options, progress, quick=True, near=near, clips=clips)
 
-    search = _without_suspects(searched, claims)
+    # rollouts of all clips take their time, and a few show what is far off
+    search, wide, near = None, frozenset[Group](), None
+    for clips in (None,) if proposal.match == "effort" else (_FEW, None):
+        search, wide = _without_suspects(partial(searched, clips=clips), claims, wide, near)
+        near = search.problem.system.space.theta_of(search.finding.z)
+    assert search is not None
     found, system = concluded(search), search.problem.system
     lines = _lines(system, found, claims, logs)
     return Audit(tuple(lines), system, found, tuple(claims), proposal)
 
 
 def _without_suspects(
-    searched: Callable[[Collection[Group], FloatArray | None], Search], claims: Sequence[Claim]
-) -> Search:
-    """The search after which no number stands out that is believed.
+    searched: Callable[[Collection[Group], FloatArray | None], Search],
+    claims: Sequence[Claim],
+    wide: frozenset[Group],
+    near: FloatArray | None,
+) -> tuple[Search, frozenset[Group]]:
+    """The search after which no number stands out that is believed, and those that are not.
 
     One linearisation says which numbers those are. It may err far from its minimum: where the cost rises when
     they are left open, only the first of them is, and where it still rises, that one is believed.
     """
-    search, wide, refused = searched((), None), set[Group](), set[Group]()
+    search, refused = searched(wide, near), frozenset[Group]()
     suspects = _suspects(search, claims, wide)
     for _ in range(_ROUNDS):
         if not suspects:
             break
         near = search.problem.system.space.theta_of(search.finding.z)
-        tried = searched(wide | set(suspects), near)
+        tried = searched(wide | {*suspects}, near)
         if _cost(tried) <= (1.0 + _RISES) * _cost(search):
-            search = tried
-            wide |= set(suspects)
-            refused.clear()
+            search, wide, refused = tried, wide | {*suspects}, frozenset()
         elif len(suspects) > 1:
             suspects = suspects[:1]
             continue
         else:
-            refused |= set(suspects)
+            refused |= {*suspects}
         suspects = _suspects(search, claims, wide | refused)
-    return search
+    return search, wide
 
 
 def _cost(search: Search) -> float:

@@ -121,11 +121,12 @@ def searched_for(
     *,
     quick: bool = False,
     near: FloatArray | None = None,
+    clips: int | None = None,
 ) -> Search:
     """The search of `identify`, whose arguments it takes, without the conclusion.
 
     `quick`: do not warn of parameters that the logs do not depend on. `near`: begin at this theta, all clips
-    at once, and not at the prior's mean with a few.
+    at once, and not at the prior's mean with a few. `clips`: fit only so many.
     """
     if options.method not in METHODS:
         raise ConfigError(f"`method`: {one_of('method', options.method, METHODS)}")
@@ -136,6 +137,8 @@ def searched_for(
     training = in_order(training)
     watch = Watch(on_iteration, options.max_time, PARTS)
     problem, validation = _pose(system, training, held_out, options)
+    if clips is not None:
+        problem = replace(problem, only=tuple(evenly(problem.clips, clips)))
     if not quick:
         _warn(system, problem)
     watch.keep(RESERVE * problem.linearisation)

@@ -1,0 +1,93 @@
+"""What `amhe check` expects of a fit, against what `amhe identify` then says, on the problems of honesty.py.
+
+    python benchmarks/expected.py [--seeds 15] [--problems gain,limit] [--jobs 2]
+
+Of each parameter's sd, the expected one should be within a factor of 1.5 of the reported one in 90 %, and the
+expected verdict right in 85 %. An sd counts on its parameter's own scale, in sd of its prior.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from common import over_seeds, seeds_of, show
+from honesty import EXACT, KINDS, NAMES, WRONG, place
+from plants import PROBLEMS
+
+import amhe_cli as amhe
+from amhe_cli.estimation.design.expected import expected
+
+#: A factor by which sd may differ.
+FACTOR = 1.5
+#: Verdicts that claim a value.
+CLAIMED = ("identified", "conditional")
+
+
+def trial(number: int) -> dict[str, Any]:
+    """Look at one log, and then fit it."""
+    logging.disable(logging.WARNING)
+    rest, of_kind = divmod(number, len(KINDS))
+    seed, index = divmod(rest, len(NAMES))
+    name, kind = NAMES[index], KINDS[of_kind]
+    made = PROBLEMS[name].case(name, seed, kind == WRONG)
+    if kind == EXACT:
+        made = made.exact()
+    logs = [made.logs] if isinstance(made.logs, amhe.Log) else list(made.logs)
+    began = time.process_time()
+    hope = {p.name: p for p in expected(made.system, logs, seed=seed).parameters}
+    looked = time.process_time() - began
+    result = amhe.identify(made.system, logs, seed=seed, threads=1)
+    return {
+        "problem": name,
+        "kind": kind,
+        "look": looked,
+        "fit": time.process_time() - began - looked,
+        "ratios": [(1.0 - hope[p.name].shrinkage) / (1.0 - p.shrinkage) for p in result.parameters.values()],
+        "verdicts": [(hope[p.name].verdict, p.verdict) for p in result.parameters.values()],
+    }
+
+
+def row(label: str, kind: str, trials: Sequence[dict[str, Any]]) -> tuple[str, ...]:
+    """One line of the table, over the parameters of some trials."""
+    ratios = np.log([ratio for one in trials for ratio in one["ratios"]])
+    verdicts = [pair for one in trials for pair in one["verdicts"]]
+    same = sum(one == other for one, other in verdicts)
+    claims = sum((one in CLAIMED) == (other in CLAIMED) for one, other in verdicts)
+    low, middle, high = np.exp(np.quantile(ratios, (0.05, 0.5, 0.95)))
+    return (
+        label, kind, str(ratios.size), f"{np.mean(np.abs(ratios) < np.log(FACTOR)):.0%}",
+        f"{low:.2f} {middle:.2f} {high:.2f}", f"{same / len(verdicts):.0%}",
+        f"{claims / len(verdicts):.0%}",
+        f"{np.median([one['look'] for one in trials]):.1f} s",
+        f"{np.median([one['fit'] for one in trials]):.1f} s",
+    )  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seeds", type=seeds_of, default=range(15), metavar="N or A:B")
+    parser.add_argument("--problems", default=",".join(NAMES), help="names, with commas between")
+    parser.add_argument("--jobs", type=int, default=2, help="processes")
+    given = parser.parse_args()
+    problems = given.problems.split(",")
+    numbers = [place(name, kind, seed) for seed in given.seeds for name in problems for kind in KINDS]
+    done = over_seeds("expected", trial, numbers, given.jobs)
+    lines = [row(name, "", [t for t in done if t["problem"] == name]) for name in problems]
+    lines += [row("all", kind, [t for t in done if t["kind"] == kind]) for kind in KINDS]
+    show(
+        f"Expected against reported, {len(done)} fits",
+        (
+            "problem", "", "sd", "within 1.5 (>= 90 %)", "ratio: 5, 50, 95 %", "verdict right (>= 85 %)",
+            "claimed or not right", "CPU of the look", "of the fit",
+        ),
+        [*lines, row("all", "", done)],
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
