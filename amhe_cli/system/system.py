@@ -233,7 +233,7 @@ class System(SystemData, Displayed):
         return parts_of(self.model, self.edits), sets_of(self.model, self.edits)
 
     def doubts(self, log: Log) -> list[str]:
-        """What in a log contradicts the model or itself, a line each: units, and the order of joints.
+        """What in a log contradicts the model or itself, a line each: units, and velocities.
 
         Args:
             log: A log that was read for this system.

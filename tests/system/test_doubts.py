@@ -163,22 +163,6 @@ def test_milliseconds(arm: amhe.System, caplog: pytest.LogCaptureFixture) -> Non
     assert "'joints': a sample every 1 s: its times look like milliseconds" in said(arrays, arm, caplog)
 
 
-def test_another_order_of_the_joints(arm: amhe.System, caplog: pytest.LogCaptureFixture) -> None:
-    arrays = motion()
-    arrays["command"]["position"] = arrays["command"]["position"][:, ::-1]
-    text = said(arrays, arm, caplog)
-    assert "the commands of shoulder, elbow are followed by elbow, shoulder: the order of the joints" in text
-
-
-def test_joints_that_move_alike_are_not_doubted(arm: amhe.System, caplog: pytest.LogCaptureFixture) -> None:
-    arrays = motion()
-    for signal in arrays.values():
-        signal["position"][:, 1] = signal["position"][:, 0] + 0.01
-    arrays["joints"].pop("velocity")
-    arrays["command"]["position"] = arrays["command"]["position"][:, ::-1]
-    assert "followed by" not in said(arrays, arm, caplog)
-
-
 def test_a_file_is_doubted_like_arrays(
     arm: amhe.System, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

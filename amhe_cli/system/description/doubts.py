@@ -1,4 +1,4 @@
-"""What in a log contradicts the model, or itself: units, and the order of joints.
+"""What in a log contradicts the model, or itself: units, and velocities that are none.
 
 Each doubt is one line for a warning; the log is read as the system says.
 """
@@ -54,14 +54,6 @@ _OF_COMMAND: Mapping[float, _Cause] = {
 _NEAR = 0.25
 #: Two series must be so well correlated for their slope to count.
 _ALIKE = 0.9
-#: In a better order of the joints, each that moves in it is correlated so well with its command.
-_BETTER = 0.8
-#: It is correlated by so much better than in the order that is given.
-_MARGIN = 0.3
-#: Its mean squared error is below this share of that in the order that is given.
-_ERROR = 0.25
-#: Commands lead the joints by at most this [s].
-_LEAD = 0.3
 #: Fewer samples are not compared.
 _FEW = 100
 #: No more samples than about these are compared.
@@ -251,7 +243,7 @@ def _named(slope: float | None, causes: Mapping[float, _Cause]) -> list[_Cause]:
 
 
 def _of_commands(system: SystemData, log: Log, driving: Input, positions: _Positions) -> Iterator[Doubt]:
-    """Units and order of the targets of position servos, by the joints that should follow them."""
+    """Units of the targets of position servos, by the joints that should follow them."""
     series, signal = log[driving.key], driving.key.rpartition(".")[0]
     servos = {column: _servo_joint(system, place) for column, place in enumerate(driving.columns)}
     driven = {
@@ -276,16 +268,6 @@ def _of_commands(system: SystemData, log: Log, driving: Input, positions: _Posit
             of_unit = [_OF_COMMAND[_DEGREES]]
         causes += [(cause, name) for cause in of_unit]
     yield from _of_causes(signal, causes)
-    step = log.dt * float(np.median(np.diff(kept)))
-    better = _better_order(commands, measured, max(1, round(_LEAD / 10.0 / step)))
-    if better is not None:
-        order, before, after = better
-        yield Doubt(
-            signal,
-            f"the commands of {', '.join(names)} are followed by {', '.join(names[i] for i in order)}: the "
-            f"order of the joints is wrong in the commands or in the positions (correlation {after:.2f} so, "
-            f"{before:.2f} as given)",
-        )
 
 
 def _beyond(model: mujoco.MjModel, joint: int, largest: float) -> bool:
@@ -307,34 +289,3 @@ def _servo_joint(system: SystemData, place: int) -> int | None:
     joint = int(model.actuator_trnid[rows[0], 0])
     links = {gap.drive: gap.link for gap in gaps(model)}
     return links.get(joint, joint) if commanded(model, int(rows[0])) == "position" else None
-
-
-def _better_order(
-    commands: FloatArray, measured: FloatArray, lag: int
-) -> tuple[list[int], float, float] | None:
-    """Joint that follows each command, if clearly not the one given; least correlations before, after.
-
-    Args:
-        commands: Targets, shape (T, n).
-        measured: Positions of the joints that should follow them, shape (T, n).
-        lag: Rows of a tenth of the time by which commands may lead.
-    """
-    moving = measured.std(axis=0) > 1e-3
-    if commands.shape[1] < 2 or not moving.all():
-        return None
-    error = np.mean((commands[:, :, None] - measured[:, None, :]) ** 2, axis=0)
-    order = error.argmin(axis=1)
-    swapped = np.flatnonzero(order != np.arange(order.size))
-    if not swapped.size or np.unique(order).size < order.size:
-        return None
-    rows = commands.shape[0]
-    lags = [k * lag for k in range(11) if rows - k * lag >= _FEW]
-    count = commands.shape[1]
-    # a fast motion lags behind its command: the best correlation of any lag counts, for either order
-    alike = np.max(
-        [np.corrcoef(commands[: rows - k].T, measured[k:].T)[:count, count:] for k in lags], axis=0
-    )
-    before, after = alike[swapped, swapped], alike[swapped, order[swapped]]
-    clear = (after > _BETTER) & (after > before + _MARGIN)
-    clear &= error[swapped, order[swapped]] < _ERROR * error[swapped, swapped]
-    return (order.tolist(), float(before.min()), float(after.min())) if clear.all() else None

@@ -1,0 +1,105 @@
+"""A real SO-101 arm (docs/real.md): what do friction of gears and servos as they are built buy?
+
+    python benchmarks/so101.py [--jobs 3] [--max-time 420]
+
+Four motions are fitted, and the figure eight is predicted, by the example system and by two that add what the
+arm's Feetech STS3215 is at 12 V and gain 32: one set of numbers for all joints, and friction joint by joint.
+Errors are rms over the six joints, as a ratio to those of the maker's MJCF on the same clips.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import time
+from typing import Any
+
+import numpy as np
+from common import DATA, PROJECT, over_seeds, show
+
+import amhe_cli as amhe
+
+JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
+FITTED = ("chirp_sweep", "multisine", "prbs_excitation", "friction_gravity")
+#: Numbers of the servo's firmware and gear: nominal value, sd and bounds; linear.
+SERVO = {
+    "load_friction": (0.2, 0.1, [-0.5, 1.5], "joint"),
+    "stribeck_friction": (0.05, 0.08, [-0.5, 1.0], "joint"),
+    "punch": (0.016, 0.02, [-0.1, 0.2], "actuator"),
+    "dead_band": (0.0015, 0.002, [-0.02, 0.03], "actuator"),
+}
+
+
+def _linear(nominal: float, sd: float, bounds: list[float], targets: list[dict[str, str]]) -> dict[str, Any]:
+    return {"nominal": nominal, "prior_sd": sd, "bounds": bounds, "scale": "linear", "targets": targets}
+
+
+def systems() -> dict[str, dict[str, Any]]:
+    """Parameters over those of the example, by variant."""
+    gains = {f"{joint}_gain": {"nominal": 28.9, "bounds": [3, 300], "prior_sd": 0.3} for joint in JOINTS}
+    zeros = {f"{joint}_zero": {"bounds": [-1, 1], "prior_sd": 0.1} for joint in JOINTS[1:4]}
+    shared = {
+        word: _linear(nominal, sd, bounds, [{kind: "*", "set": word}])
+        for word, (nominal, sd, bounds, kind) in SERVO.items()
+    }
+    each = {
+        f"{joint}_{word}": _linear(*SERVO[word][:3], [{"joint": joint, "set": word}])
+        for joint in JOINTS
+        for word in ("load_friction", "stribeck_friction")
+    }
+    firmware = {word: shared[word] for word in ("punch", "dead_band")}
+    return {
+        "constant friction": {},
+        "servos as built": gains | zeros | shared,
+        "the same, friction joint by joint": gains | zeros | firmware | each,
+    }
+
+
+def trial(number: int) -> dict[str, Any]:
+    """Identify with one variant."""
+    logging.disable(logging.WARNING)
+    name, parameters = list(systems().items())[number]
+    system = amhe.System.load(
+        PROJECT / "examples" / "systems" / "so101", {"parameters": parameters}, warn=False
+    )
+    logs = [amhe.read_log(DATA / "so101" / motion, system) for motion in FITTED]
+    held_out = amhe.read_log(DATA / "so101" / "figure_eight", system)
+    began = time.process_time()
+    result = amhe.identify(system, logs, held_out=held_out, threads=1, max_time=MAX_TIME)
+    errors: dict[str, list[float]] = {}
+    for one in result.found.held_out.horizons:
+        at = errors.setdefault("end" if one.to_end else f"{one.horizon:g} s", [0.0, 0.0])
+        at[0] += one.initial**2 / len(JOINTS)
+        at[1] += one.identified**2 / len(JOINTS)
+    return {
+        "name": name,
+        "errors": {at: np.degrees(np.sqrt(pair)).tolist() for at, pair in errors.items()},
+        "values": {n: [p.estimate, p.sd, p.verdict] for n, p in result.parameters.items()},
+        "cpu_seconds": time.process_time() - began,
+    }
+
+
+MAX_TIME = 420.0
+
+
+def main() -> None:
+    global MAX_TIME
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--jobs", type=int, default=3, help="processes")
+    parser.add_argument("--max-time", type=float, default=MAX_TIME, help="of each search [s]")
+    given = parser.parse_args()
+    MAX_TIME = given.max_time
+    done = over_seeds(f"so101-{MAX_TIME:g}", trial, range(len(systems())), given.jobs)
+    maker = {at: initial for at, (initial, _) in done[0]["errors"].items()}
+    rows = [("maker's MJCF", *(f"{error:.2f}°" for error in maker.values()), "", "")]
+    for one in done:
+        found = [f"{error:.2f}°, {error / maker[at]:.2f}" for at, (_, error) in one["errors"].items()]
+        claimed = sum(verdict in ("identified", "conditional") for _, _, verdict in one["values"].values())
+        rows.append(
+            (one["name"], *found, f"{claimed} of {len(one['values'])}", f"{one['cpu_seconds']:.0f} s")
+        )
+    show("held-out error of an SO-101", ("after", *maker, "claimed", "CPU"), rows)
+
+
+if __name__ == "__main__":
+    main()
