@@ -131,7 +131,7 @@ def compare(
     for i, (name, system) in enumerate(zip(names, alike, strict=True)):
 
         def show(iteration: Any, total: int, name: str = name) -> None:
-            say(f"{name}: {iteration.method} {iteration.number}/{total}")
+            say(f"{name}: {iteration.told(total)}")
 
         with collected_warnings(of=name) as texts:
             results.append(

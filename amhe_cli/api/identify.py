@@ -164,6 +164,11 @@ class Result:
         except LogError as error:
             logger.debug("no view: %s", error)
             return Beside()
+        except Exception as fault:  # it must cost no result
+            logger.warning(
+                "view.html could not be made (%s: %s); the rest is complete", type(fault).__name__, fault
+            )
+            return Beside()
         if (row := view.worst([fit.clip for fit in self.fits])) is None:
             return Beside(page=view.page(report="report.html"))
         take = view.found.takes[row]
@@ -179,10 +184,10 @@ class Result:
         return self.table
 
     def _repr_html_(self) -> str:
-        """The table and the fits, for a notebook."""
-        scrolled = '<pre style="overflow-x: auto">{code}</pre>'
-        table = self._rendered().export_html(inline_styles=True, code_format=scrolled)
-        return table + (self.plot()._repr_html_() if self.fits else "")
+        """The table in the notebook's own colours, what it means in sentences, and the fits."""
+        from amhe_cli.report.shown import result_html
+
+        return result_html(self.found) + (self.plot()._repr_html_() if self.fits else "")
 
     def plot(self) -> SavedView:
         """Measured against predicted for the best, a middling and the worst clip; a notebook shows it."""

@@ -14,8 +14,6 @@ from amhe_cli.core.text import printable
 
 if TYPE_CHECKING:
     from amhe_cli.audit.audit import Audit
-    from amhe_cli.cli.progress import Shown
-    from amhe_cli.estimation.core.result import Iteration
 
 
 @command(
@@ -97,7 +95,7 @@ def _logs(session: Session, model: Path, given: Given) -> None:
 
     from amhe_cli.audit.audit import audit as run
     from amhe_cli.cli.inputs import urdf_options
-    from amhe_cli.cli.progress import progress
+    from amhe_cli.cli.progress import of_search, progress
     from amhe_cli.cli.settings import NONE
     from amhe_cli.estimation.identification import IdentifyOptions
     from amhe_cli.init.folder import proposed, proposed_as
@@ -109,7 +107,7 @@ def _logs(session: Session, model: Path, given: Given) -> None:
         proposal = proposed_as(model, replace(inputs, overrides=NONE).open(logs), urdf)
     else:
         proposal = proposed(model, logs, inputs.msg_path, urdf, efforts=True)
-    with progress(session, "audit", _shown) as show:
+    with progress(session, "audit", of_search) as show:
         found = run(
             proposal,
             model.stem,
@@ -136,9 +134,3 @@ def _print(session: Session, lines: Any, record: dict[str, object], found: Audit
     console.print()
     for line in audit_text(lines, found, record.get("out")):
         console.print(line, soft_wrap=True)
-
-
-def _shown(item: tuple[Iteration, int]) -> Shown:
-    """'linearised 3/16'."""
-    iteration, total = item
-    return f"{iteration.method} {iteration.number}/{total}", iteration.number, total

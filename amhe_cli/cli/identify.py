@@ -14,8 +14,7 @@ from amhe_cli.cli.kinds import MODEL, NewFile
 from amhe_cli.cli.session import LOSSY, Session
 
 if TYPE_CHECKING:
-    from amhe_cli.cli.progress import Shown
-    from amhe_cli.estimation.core.result import Iteration, ParameterResult
+    from amhe_cli.estimation.core.result import ParameterResult
 
 
 def _a_cause(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
@@ -89,7 +88,7 @@ def identify(session: Session, given: Given) -> int | None:
     from amhe_cli.check.findings import worst_first
     from amhe_cli.check.model import check_model
     from amhe_cli.check.motion import motions, still
-    from amhe_cli.cli.progress import progress
+    from amhe_cli.cli.progress import of_search, progress
     from amhe_cli.cli.required import matching, missed_of
     from amhe_cli.logs import members, read_log
     from amhe_cli.logs.truth import truth_in_metadata
@@ -117,7 +116,7 @@ def identify(session: Session, given: Given) -> int | None:
         run = partial(repair, cause=None if given.repair == "all" else given.repair)
     known |= given.pick("method", "max_time", "checkpoint", "seed", "threads", "engine")
     with (
-        progress(session, "identify", _shown) as show,
+        progress(session, "identify", of_search, left=True) as show,
         executor_of(given.workers, given.cluster) as executor,
     ):
         try:
@@ -159,10 +158,3 @@ def _check_apart(logs: Sequence[Path], held_out: Sequence[Path]) -> None:
     for path in held_out:
         if path.resolve() in fitted:
             raise ConfigError(f"{path}: is both fitted and held out; validation needs a log of its own")
-
-
-def _shown(item: tuple[Iteration, int]) -> Shown:
-    """'linearised 3/16: cost 1.04, sigma 0.12', or 'cost profiles 14/15'."""
-    iteration, total = item
-    state = f": cost {iteration.cost:.4g}, sigma {iteration.sigma:.2g}" if iteration.rollouts else ""
-    return f"{iteration.method} {iteration.number}/{total}{state}", iteration.number, total

@@ -12,6 +12,8 @@ from amhe_cli.cli.session import Session
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from amhe_cli.estimation.core.result import Iteration
+
 T = TypeVar("T")
 #: What is shown of an item: its state in words, how much is done, and how much there is in all, if known.
 Shown: TypeAlias = tuple[str, float, float | None]
@@ -22,7 +24,12 @@ PLAIN_PERIOD = 5.0
 
 @contextmanager
 def progress(
-    session: Session, title: str, shown: Callable[[T], Shown], stays: bool = False, every: bool = False
+    session: Session,
+    title: str,
+    shown: Callable[[T], Shown],
+    stays: bool = False,
+    every: bool = False,
+    left: bool = False,
 ) -> Iterator[Callable[[T], None]]:
     """Give a function that shows each item as the session wants it shown.
 
@@ -32,7 +39,9 @@ def progress(
         shown: What is shown of an item.
         stays: The last state stays on the terminal in the end.
         every: Each item has a line where stderr is no terminal, not one now and then.
+        left: Say how long it will still take, at the pace so far.
     """
+    shown = _with_time_left(shown) if left else shown
     console = session.console(stderr=True)
     if session.quiet:
         yield lambda item: None
@@ -41,6 +50,27 @@ def progress(
             yield show
     else:
         yield _lines(session, shown, 0.0 if every else PLAIN_PERIOD)
+
+
+def of_search(item: tuple[Iteration, int]) -> Shown:
+    """What is shown of an iteration of a search, and of how many there will be about."""
+    iteration, total = item
+    return iteration.told(total), iteration.number, total
+
+
+def _with_time_left(shown: Callable[[T], Shown]) -> Callable[[T], Shown]:
+    """What is shown of an item, and the time that is left."""
+    began = time.monotonic()
+
+    def longer(item: T) -> Shown:
+        state, done, total = shown(item)
+        if total is None or not 0 < done < total:
+            return state, done, total
+        seconds = (time.monotonic() - began) * (total - done) / done
+        told = f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
+        return f"{state}; about {told} left", done, total
+
+    return longer
 
 
 @contextmanager

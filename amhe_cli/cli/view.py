@@ -14,7 +14,7 @@ from amhe_cli.cli.session import Session, stopping
     "A log and what the model predicts, in a browser.",
     argument("source", LOG, metavar="LOG|RESULT"),
     options.where,
-    options.believed("The belief.yaml of an identification: its ghost is shown beside the nominal one."),
+    options.believed("The belief.yaml of an identification: its ghost is shown beside that of before."),
     option("-o --save", "Write one page that needs no network, and serve nothing.", NewFile("PAGE.html")),
     options.force("over PAGE.html where it exists"),
     option("--host ADDRESS", "To serve on.", default="127.0.0.1"),

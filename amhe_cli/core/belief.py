@@ -57,6 +57,13 @@ class Belief(Displayed):
     fixed: Mapping[str, float] = field(default_factory=dict)
     systematic: FloatArray | None = None
 
+    def __repr__(self) -> str:
+        values = zip(self.names, self.estimate, self.sd, self.units, strict=True)
+        told = [
+            f"{name} {value:.4g} ± {sd:.2g} {unit}".removesuffix(" -") for name, value, sd, unit in values
+        ]
+        return f"Belief({self.system!r}: {', '.join(told)})"
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "estimate", sealed(self.estimate))
         object.__setattr__(self, "covariance", sealed(self.covariance))

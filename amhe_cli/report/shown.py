@@ -15,8 +15,12 @@ from amhe_cli.core.series import Series
 from amhe_cli.core.shown import Displayed, SavedView
 from amhe_cli.core.signals import QUANTITIES
 from amhe_cli.core.statistics import Z90, correlation
+from amhe_cli.core.text import printable
+from amhe_cli.estimation.core.result import Identification
 from amhe_cli.logs.truth import truth_in_metadata
 from amhe_cli.report import numbers
+from amhe_cli.report.identification import parameter_table
+from amhe_cli.report.identification_page import headline, statements
 from amhe_cli.report.page import Section
 from amhe_cli.report.tables import NUMBER, STRONG, Table
 from amhe_cli.system.system import System
@@ -35,6 +39,31 @@ def shown(value: Displayed) -> SavedView:
 def view(sections: Sequence[Section], title: str) -> SavedView:
     """Sections as a page that a notebook can show."""
     return SavedView(template("shown.html.j2").render(title=f"amhe {title}", sections=sections), height=500)
+
+
+def html_table(table: Table) -> Markup:
+    """A table that takes the colours of the text around it, for notebooks."""
+    line = "border:0;border-bottom:1px solid rgba(128,128,128,.3);padding:4px 12px 4px 0;background:none"
+
+    def row(cells: Sequence[str], name: str) -> Markup:
+        sides = ("right" if "number" in look else "left" for look in table.looks)
+        styled = [
+            Markup('<{0} style="{1};text-align:{2}">{3}</{0}>').format(name, line, side, printable(str(text)))
+            for side, text in zip(sides, cells, strict=True)
+        ]
+        return Markup("<tr style='background:none'>{}</tr>").format(Markup("").join(styled))
+
+    rows = Markup("").join([row(table.head, "th"), *(row(one, "td") for one in table.rows)])
+    return Markup(
+        '<div style="overflow-x:auto"><table style="color:inherit;border-collapse:collapse">{}</table></div>'
+    ).format(rows)
+
+
+def result_html(found: Identification) -> str:
+    """What was identified, as a table and sentences in the colours of the text around them."""
+    told = Markup("").join([Markup("<li>{}</li>").format(one.text) for one in statements(found)])
+    table = html_table(parameter_table(found))
+    return str(Markup("<p><b>{}</b></p>{}<ul>{}</ul>").format(headline(found), table, told))
 
 
 @singledispatch

@@ -146,7 +146,12 @@ def test_a_result_has_what_the_command_prints(result: amhe.Result) -> None:
     assert "held-out: " in result.table and "report:" not in result.table
     assert "\x1b" not in result.table
     shown = result._repr_html_()
-    assert shown.startswith('<pre style="overflow-x: auto">') and "load_mass" in shown, "a wide table scrolls"
+    table = shown.partition("<iframe")[0]
+    assert (
+        "overflow-x:auto" in table and "color:inherit" in table and "load_mass" in table and "#" not in table
+    )
+    assert repr(mass).startswith(f"<load_mass {mass.estimate:.4g} ± ") and mass.verdict in repr(mass)
+    assert repr(result.belief).startswith("Belief('pendulum': load_mass ") and "\n" not in repr(result)
     assert "<iframe" in shown
     drawn = result.plot()
     clips = len({fit.clip for fit in result.fits})

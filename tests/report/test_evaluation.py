@@ -88,7 +88,7 @@ def test_a_page_without_goals_says_what_came_out_and_no_run_that_was_cut_short_s
     study = Study({}, DEFAULTS, duration=3.0)
     html = study_page(study, groups, {}, [made(groups, "table1")], [])
     assert "T4: true 3 of 3 at the goal, baseline 0 of 3 at the goal, adaptive 0 of 3 at the goal" in html
-    assert "paper" not in html and "Runs were cut short" in html
+    assert "paper: " not in html and "Runs were cut short" in html
     assert "paper: Adaptive-MHE" in study_page(Study({}, DEFAULTS), groups, {}, [made(groups, "table1")], [])
 
 

@@ -79,6 +79,10 @@ class ParameterResult:
     given: str = ""
     profile: tuple[FloatArray, FloatArray] | None = None
 
+    def __repr__(self) -> str:
+        told = f"{self.name} {self.estimate:.4g} ± {self.sd:.2g} {self.unit}".removesuffix(" -")
+        return f"<{told}, 90 % {self.lower:.4g} to {self.upper:.4g}: {self.verdict}>"
+
     @property
     def interval(self) -> tuple[float, float]:
         """90 % interval."""
@@ -218,6 +222,13 @@ class Iteration:
     diverged: int
     theta: tuple[float, ...]
     stage: str = ""  # 'explore' or 'polish' of the linearised search; 'conclusion' of a part of that
+
+    def told(self, total: int) -> str:
+        """What goes on, in words: 'fitting, 5 of about 16: cost 1.04', or 'checking, 14 of 15: ...'."""
+        if self.stage != "conclusion":
+            return f"fitting, {self.number} of about {total}: cost {self.cost:.4g}"
+        part = {"search for a second minimum": "is there a second solution?"}.get(self.method, self.method)
+        return f"checking, {self.number} of {total}: {part}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,8 +4,6 @@ function strip(box) {
   canvas.style.cssText = "position:absolute;left:-9999px;width:400px;height:300px"; box.append(canvas);
   let stage;
   try { stage = new Stage(canvas, data); } catch { box.hidden = true; return; }
-  const style = getComputedStyle(document.documentElement);
-  const parts = (name) => { const text = style.getPropertyValue("--" + name).trim(); return [1, 3, 5].map((i) => parseInt(text.slice(i, i + 2), 16) / 255); };
   const pictures = data.times.map((time) => {
     const picture = made("canvas", { width: 400, height: 300 });
     picture.setAttribute("role", "img"); picture.setAttribute("aria-label", `The scene at ${time.toFixed(2)} s`);
@@ -15,9 +13,9 @@ function strip(box) {
   const frames = data.frames.map((frame) => frame.map(floats));
   stage.camera.away = 2.1 * Math.max(...frames.map(([own]) => stage.bounds(own).radius));
   const paint = () => {
-    const colors = { sky: parts("faint"), ground: parts("rule"), grid: parts("prior"), dark: matchMedia("(prefers-color-scheme: dark)").matches };
+    const colors = { sky: rgb("faint"), ground: rgb("rule"), grid: rgb("prior"), dark: isDark() };
     frames.forEach(([own, ...ghosts], i) => {
-      const layers = ghosts.map((poses, k) => ({ poses, tint: parts(data.candidates[k]), opacity: 0.5 })).reverse();
+      const layers = ghosts.map((poses, k) => ({ poses, tint: rgb(data.candidates[k]), opacity: 0.5 })).reverse();
       stage.draw([{ poses: own, opacity: 1 }, ...layers], stage.bounds(own).middle, colors, {});
       pictures[i].getContext("2d").drawImage(canvas, 0, 0, 400, 300);
     });

@@ -35,12 +35,10 @@ class Player {
     for (const one of this.recordings) one.takes.sort((a, b) => a.start - b.start);
   }
   palette() {
-    const style = getComputedStyle(document.documentElement), color = (name) => style.getPropertyValue("--" + name).trim();
-    const parts = (name) => { const text = color(name); return [1, 3, 5].map((i) => parseInt(text.slice(i, i + 2), 16) / 255); };
-    this.solid = { sky: parts("sky"), ground: parts("ground"), grid: parts("grid"), dark: matchMedia("(prefers-color-scheme: dark)").matches };
-    this.tints = this.data.candidates.map((name) => parts(ghost(name)));
-    this.yours = parts(ghost("yours"));
-    this.colors = { gap: color("gap"), event: color("amber") };
+    this.solid = { sky: rgb("sky"), ground: rgb("ground"), grid: rgb("grid"), dark: isDark() };
+    this.tints = this.data.candidates.map((name) => rgb(ghost(name)));
+    this.yours = rgb(ghost("yours"));
+    this.colors = { gap: css(rgb("gap")), event: css(rgb("amber")) };
   }
   layers() {
     const box = $("layers");

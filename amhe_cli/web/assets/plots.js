@@ -9,10 +9,18 @@ const drawn = (name, more = {}, ...children) => {
   one.append(...children); return one;
 };
 const ink = (color) => `var(--${color})`;
+// Red, green and blue of a colour, between 0 and 1, on the reader's screen.
+const rgb = (color) => {
+  const probe = document.body.appendChild(made("i")); probe.style.color = ink(color);
+  const parts = getComputedStyle(probe).color.match(/[\d.]+/g).slice(0, 3).map((part) => Number(part) / 255);
+  probe.remove(); return parts;
+};
+const css = ([r, g, b]) => `rgb(${[r, g, b].map((part) => Math.round(255 * part))})`;
+const isDark = () => rgb("back")[0] < 0.5;
 const minus = (text) => text.replace("-", "\u2212");
 const brief = (value) => minus(Math.abs(value) >= 1e4 || (value && Math.abs(value) < 1e-3) ? value.toExponential(1) : String(Number(value.toPrecision(3))));
-// With as many digits as tell 500 places of a range apart.
-const precise = (value, [low, high]) => minus(value.toFixed(Math.min(Math.max(0, Math.ceil(Math.log10(500 / Math.max(high - low, 1e-12)))), 8)));
+// With as many digits as tell 200 places of a range apart.
+const precise = (value, [low, high]) => minus(value.toFixed(Math.min(Math.max(0, Math.ceil(Math.log10(200 / Math.max(high - low, 1e-12)))), 8)));
 
 // A box of panels. A panel is { title, unit, x, lines, marks, log, low, high, equal, height }, a line { name, color, shape,
 // x, y, lower, upper, leads }; instead of lines there may be a function from the ends of x to lines.
