@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from amhe_cli.estimation.explain.regression import CauseColumns, Regression, blo
 from amhe_cli.estimation.explain.unexplained import unexplained
 from amhe_cli.estimation.offline.clips import whole
 from amhe_cli.system.parameters.gear_friction import OWN as GEAR
+from tests.matching.test_efforts import PARAMETERS, recorded, system_of
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "logs" / "pendulum.mcap"
 
@@ -286,3 +288,33 @@ def test_a_servo_that_acts_inside_a_limit_is_named_with_its_speed() -> None:
     assert (row.kind, row.place) == ("servo limit", "servo")
     assert row.text.startswith("servo never exceeds 6.")
     assert {"servo_gain", "servo_force_limit", "damping"} <= row.repair.keys()
+
+
+# -- torques along a measured motion -------------------------------------------------------------------------
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize(
+    ("change", "kind", "place"),
+    [
+        (lambda q, tau: tau, "", ""),
+        (lambda q, tau: tau + [2.0, 0.0] * (q - 0.1), "spring", "a"),
+        (lambda q, tau: tau * [1.0, -1.0], "torque scale", "b"),
+    ],
+    ids=["as the model", "spring", "sign"],
+)
+def test_what_torques_lack_is_named(
+    change: Callable[[FloatArray, FloatArray], FloatArray], kind: str, place: str
+) -> None:
+    free = {name: PARAMETERS[name] for name in ("lower", "friction")}
+    system = system_of(parameters=free | {"scale": PARAMETERS["scale"], "offset": PARAMETERS["offset"]})
+    log = recorded(system, np.array(system.space.nominal))
+    series = dict(log.series)
+    tau = series["torque.effort"]
+    changed = change(series["joints.position"].values, tau.values)
+    series["torque.effort"] = replace(tau, values=changed)
+
+    found = _explained(system, replace(log, series=series))
+
+    first = [(row.kind, row.place) for row in found.rows[:1]]
+    assert first == ([(kind, place)] if kind else [])

@@ -32,6 +32,7 @@ class Cause:
         against: What its force is drawn against: name with its unit, and values (n,).
         repair: Entries of `parameters` that let the model have it; None: no number of a model does.
         most: The largest first coefficient that can be: of friction, springs and inertia what the model has.
+        least: The least size of that coefficient that says anything.
     """
 
     kind: str
@@ -42,6 +43,7 @@ class Cause:
     against: Callable[[], tuple[str, FloatArray]]
     repair: Repair | None = None
     most: float = np.inf
+    least: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,6 +191,11 @@ def says(text: str, sign: float = 1.0) -> Words:
         return text.replace("#", size)
 
     return words
+
+
+def times(what: str, of: str) -> Words:
+    """A factor in words, of a coefficient that is what it has beyond one."""
+    return lambda c, sd: f"{what} {number(1.0 + c[0], sd[0])} {of}"
 
 
 def believed(parameter: Parameter, value: float) -> dict[str, Any]:

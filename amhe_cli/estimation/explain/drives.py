@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,10 @@ from amhe_cli.estimation.explain.candidate import (
     Cause,
     CauseMaker,
     MeasuredDof,
-    Words,
     believed,
     number,
     says,
+    times,
 )
 from amhe_cli.estimation.explain.joints import LIMITS
 from amhe_cli.estimation.explain.regression import memory_of
@@ -47,9 +48,9 @@ def drive_causes(maker: CauseMaker) -> Iterator[Cause]:
             continue
         servo = np.abs(by[:, a] - maker.commands[:, a]).max() > 0.0
         if servo and not _gain_is_free(maker, a):
-            words = _times(f"{name} gives", "of what the model says")
+            words = times(f"{name} gives", "of what the model says")
             yield Cause("gain", name, dofs, values, words, against, lambda c, sd, n=name: _gain(n))
-        words = _times(f"the command of {name} acts", "times as the model says")
+        words = times(f"the command of {name} acts", "times as the model says")
         yield Cause("command", name, *maker.spread(maker.commands[None, :, a]), words, against)
         yield from _inside(maker, a)
     if (total := maker.commands.sum(axis=1)).any():
@@ -66,11 +67,6 @@ def drive_causes(maker: CauseMaker) -> Iterator[Cause]:
 
 def _of(name: str, values: FloatArray) -> tuple[str, FloatArray]:
     return name, values
-
-
-def _times(what: str, of: str) -> Words:
-    """A factor in words, of a coefficient that is what it has beyond one."""
-    return lambda c, sd: f"{what} {number(1.0 + c[0], sd[0])} {of}"
 
 
 def _gain(name: str) -> dict[str, Any]:
@@ -171,6 +167,11 @@ def _limited(
     return found
 
 
+def _farthest(count: int) -> float:
+    """How far the farthest of so many values is from its prior by chance, one time in a hundred [sd]."""
+    return NormalDist().inv_cdf(1.0 - 0.005 / max(count, 1))
+
+
 def prior_causes(maker: CauseMaker) -> Iterator[Cause]:
     """Values that the logs want farther off than their priors allow.
 
@@ -180,7 +181,7 @@ def prior_causes(maker: CauseMaker) -> Iterator[Cause]:
     fields: dict[str, set[str]] = {}
     for cell, parameter in maker.set.items():
         fields.setdefault(parameter.name, set()).add(cell[0])
-    scales = scale_of(maker.system)
+    scales, far = scale_of(maker.system), _farthest(len(space))
     for parameter, slopes, scale in zip(space.parameters, found.slopes[:, found.rows], scales, strict=True):
         own = tuple(d for d, moved in zip(dofs, np.abs(slopes).max(axis=0), strict=True) if moved)
         if parameter.owner or not own or not fields.get(parameter.name, _INERT).isdisjoint(_INERT):
@@ -199,4 +200,5 @@ def prior_causes(maker: CauseMaker) -> Iterator[Cause]:
             f"{p.nominal:.3g}: is it known so well?",
             partial(_of, "what a prior sd of it changes", force[0, :, own[0]]),
             lambda c, sd, p=parameter, w=wanted: {p.name: believed(p, w(c))},
+            least=far,
         )  # fmt: skip

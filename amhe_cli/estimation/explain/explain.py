@@ -12,6 +12,7 @@ from amhe_cli.core.log import Window
 from amhe_cli.estimation.core.result import Missing, MissingRow
 from amhe_cli.estimation.explain.candidate import CauseMaker
 from amhe_cli.estimation.explain.drives import drive_causes, prior_causes
+from amhe_cli.estimation.explain.efforts import unexplained_efforts
 from amhe_cli.estimation.explain.inputs import mended
 from amhe_cli.estimation.explain.joints import joint_causes
 from amhe_cli.estimation.explain.regression import DOUBT, CauseColumns, Regression, blocks_of, memory_of
@@ -42,10 +43,11 @@ def explain(system: System, parts: Sequence[Window], z: FloatArray, rng: np.rand
         z: Values of the unknowns, shape (d,).
         rng: Generator of the signs of blocks.
     """
-    if system.match == "effort":
-        return Missing(untested="efforts are matched, and no motion is predicted")
-    if _suffices(system, parts, z, rng):
-        return Missing(untested="the model explains the motion as well as one that it makes itself")
+    fitted, suffices = _model_alone(system, parts, z, rng)
+    if suffices:
+        return Missing(untested="the model explains its logs as well as those that it makes itself")
+    if system.match == "effort":  # nearly linear: the regression finds the values beside a cause
+        return forced(system, parts, fitted, rng, 0)
     wrong = mended(system, parts, rng)
     clear = bool(wrong) and wrong[0].share > CLEAR
     best, rows = forced(system, parts, z, rng, 0 if clear else TURNS), []
@@ -83,19 +85,21 @@ def _forced(
     system: System, parts: Sequence[Window], z: FloatArray, rng: np.random.Generator
 ) -> tuple[Missing, FloatArray]:
     """Regress what a system with some values does not explain on all causes; and the values' step."""
-    found = unexplained(system, parts, z)
+    found = looked_at(system, parts, z)
     if found is None or not found.stretches:
         return Missing(untested="no motion was measured away from contacts"), 0.0 * z
     dofs, maker = list(found.motion.dofs), CauseMaker(system, found)
     tried = (*joint_causes(maker), *drive_causes(maker), *prior_causes(maker))
     candidates = [cause for cause in tried if cause.dofs]
     mass, made = found.forces.mass[found.rows], _regression(found)
+    counts = 1.0 if found.counts is None else found.counts[found.rows]
     columns = [
         CauseColumns(
             tuple(dofs.index(d) for d in c.dofs),
-            accelerations(mass, c.force, dofs),
+            accelerations(mass, c.force, dofs) * counts,
             len(c.force) + (c.kind in SEARCHED),
             c.most,
+            c.least,
         )
         for c in candidates
     ]
@@ -124,19 +128,27 @@ def _forced(
     return Missing(tuple(rows), chance, len(candidates), start, after), fit
 
 
-def _suffices(system: System, parts: Sequence[Window], z: FloatArray, rng: np.random.Generator) -> bool:
-    """Whether the model with its best values leaves no more than it would of a motion of its own."""
+def _model_alone(
+    system: System, parts: Sequence[Window], z: FloatArray, rng: np.random.Generator
+) -> tuple[FloatArray, bool]:
+    """The best values of the model alone, and whether it then leaves no more than of a motion of its own."""
     way = np.inf
     for _ in range(TURNS + 1):
-        if (found := unexplained(system, parts, z)) is None or not found.stretches:
-            return False
+        if (found := looked_at(system, parts, z)) is None or not found.stretches:
+            return z, False
         *_, left, fit = _regression(found).ladder([], rng)
         moved = stepped(system, z, fit)
         before, way = way, float(np.abs(moved - z).max(initial=0.0))
         if way < SHORT or way > before:
             break
         z = moved
-    return bool(((left**2).mean(axis=0) <= DOUBT * _own_error(system, parts, z, found, rng)).all())
+    error = _own_error(system, parts, z, found, rng)
+    return z, bool(((left**2).mean(axis=0) <= DOUBT * error).all())
+
+
+def looked_at(system: System, parts: Sequence[Window], z: FloatArray) -> Unexplained | None:
+    """What a system leaves of the accelerations, or of the efforts where these are matched."""
+    return (unexplained_efforts if system.match == "effort" else unexplained)(system, parts, z)
 
 
 def _regression(found: Unexplained) -> Regression:
@@ -153,7 +165,7 @@ def _own_error(
     It is what is left of logs that the model itself makes: smoothing, noise and the time between commands
     have such an error, which repeats from block to block, so that no test by blocks calls it chance.
     """
-    own = unexplained(system, made, z) if (made := twins(system, parts, z, rng)) else None
+    own = looked_at(system, made, z) if (made := twins(system, parts, z, rng)) else None
     if own is None or not own.stretches or own.motion.dofs != found.motion.dofs:
         return np.zeros(found.residual.shape[1])
     like = np.minimum(found.moved / own.moved, 1.0)  # a twin may move more, and is then no scale

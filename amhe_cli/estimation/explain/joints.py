@@ -17,6 +17,7 @@ from amhe_cli.estimation.explain.candidate import (
     positive,
     says,
     signed,
+    times,
 )
 from amhe_cli.system.model.elements import axis_in
 
@@ -50,6 +51,9 @@ def joint_causes(maker: CauseMaker) -> Iterator[Cause]:
     for j in maker.moved.values():
         yield from _numbers(maker, j)
         yield from _in_time(maker, j)
+        if maker.system.match == "effort":
+            words = times("its measured torque acts", "times as given")
+            yield maker.on(j, "torque scale", [j.given], words, "time")
     for j in hinges:
         yield from _springs(maker, j)
         yield from _friction(maker, j)

@@ -40,12 +40,14 @@ class CauseColumns:
         values: Its m columns, shape (m, n, k).
         numbers: How many numbers it takes: its columns, and what was tried at several values.
         most: The largest first coefficient that can be.
+        least: The least size of that coefficient that says anything.
     """
 
     dofs: tuple[int, ...]
     values: FloatArray
     numbers: int
     most: float = np.inf
+    least: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,7 +157,7 @@ class Regression:
             total = falls.sum(axis=1)
             total[chosen] = -np.inf
             for best in np.argsort(-total):  # the first that can be
-                if self._possible(chosen, weighted, int(best), candidates[best].most):
+                if self._possible(chosen, weighted, int(best), candidates[best]):
                     break
                 total[best] = -np.inf
             best = int(total.argmax())
@@ -170,7 +172,7 @@ class Regression:
             if not total[best] > least[best]:
                 break
             alike = [best, *self._rivals(falls, total, best, beyond, signs)]
-            alike = [i for i in alike if self._possible(chosen, weighted, i, candidates[i].most)]
+            alike = [i for i in alike if self._possible(chosen, weighted, i, candidates[i])]
             best = min(alike, key=lambda i: (candidates[i].numbers, -total[i]))  # the simplest of them
             chosen.append(best)
             rows[best] = total[best] / own[best], tuple(i for i in alike if i != best)
@@ -196,15 +198,15 @@ class Regression:
         return np.maximum(LITTLE * own, DOUBT * len(self._residual) * np.array(without))
 
     def _possible(
-        self, chosen: Sequence[int], weighted: Sequence[FloatArray], index: int, most: float
+        self, chosen: Sequence[int], weighted: Sequence[FloatArray], index: int, one: CauseColumns
     ) -> bool:
         """Whether the first coefficient of a candidate may be one that can be, as far as its sd tells."""
-        if most == np.inf:
+        if one.most == np.inf and not one.least:
             return True
         x = self._beside([*chosen, index], weighted)
         at = len(x) - len(weighted[index])
         values, sd = self._fitted(x)
-        return bool(values[at] - 2.0 * sd[at] <= most)
+        return bool(values[at] - 2.0 * sd[at] <= one.most and abs(values[at]) >= one.least)
 
     def _needed(
         self, chosen: Sequence[int], weighted: Sequence[FloatArray], signs: FloatArray, least: FloatArray

@@ -33,6 +33,7 @@ class Unexplained:
         toward: Coefficients of the slopes that lead back to the priors, in their sd, shape (d,).
         forces: Forces along the motion, not filtered.
         uncommanded: What each actuator gives without its command, shape (n, actuators, nv).
+        counts: 1 where the residual counts, else 0, shape (n, k); None: it does at all rows that count.
     """
 
     motion: DrivenMotion
@@ -42,6 +43,7 @@ class Unexplained:
     toward: FloatArray
     forces: Forces
     uncommanded: FloatArray
+    counts: FloatArray | None = None
 
     @property
     def moved(self) -> FloatArray:
