@@ -123,6 +123,7 @@ def probe(session: Session, given: Given) -> None:
         write_probe_page(folder, log, opened.system, record)
     if not session.gave(record) and recorded:
         own = "" if opened.system.folder in bundled_systems().values() else f" --system {system}"
+        own += " --unknowns robot" if opened.task == "walk" else ""
         print_achieved(record, f"amhe identify {folder / log}{own}", folder, session.console())
     session.failed = at_the_robot.is_trip(error)
     if error and not session.failed:

@@ -196,7 +196,7 @@ def print_identification(
         print_repairs(result.repairs, console)
     if result.clips.thinned:
         console.print(f"fitted: {result.clips.fitted_of}")
-    if truth:
+    if any(p.name in truth for p in result.parameters):
         console.print(truth_line(result, truth))
     if result.interrupted:
         console.print("interrupted: these are the best values so far", style="yellow")

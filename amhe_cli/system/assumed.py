@@ -23,13 +23,15 @@ from amhe_cli.system.model.elements import matching_rows
 from amhe_cli.system.model.files import compiled
 from amhe_cli.system.parameters.calibration import SignalCalibration
 from amhe_cli.system.parameters.cells import Cells, range_cells
-from amhe_cli.system.parameters.edits import Mode, ScalarEdit
+from amhe_cli.system.parameters.edits import Mode
 from amhe_cli.system.parameters.gear_friction import number_cells
 from amhe_cli.system.parameters.model_edits import Held, ModelEdits
 from amhe_cli.system.system import System
 
 #: Elements of one assumed value that its name lists.
 _LISTED = 3
+#: A number that is known to less than this share of it is off by so much, and not by a factor.
+_HALF = 0.5
 #: What follows the name of an element whose number is written several times, by axis.
 _AXES = "xyz"
 #: Fields whose row says enough, with the kind, its sd in the settings, and how the kind is called.
@@ -204,8 +206,8 @@ def assumed_of(
     model, edits, settings = system.model, system.edits, system.settings.identify.assumed
     taken = edits.taken
     found = [
-        Assumed("held", f"{p.name}, measured before", f"{held.value:.3g}", *_change(p, held, edit))
-        for p, held, edit in edits.considered()
+        Assumed("held", f"{p.name}, measured before", f"{held.value:.3g}", cells, *_change(p, held, mode))
+        for p, held, cells, mode in edits.considered()
     ]
     for setting, kind, members in (*_drives(model, acts), *_joints(model, acts)):
         free = [member for member in members if not _set(member.cells, taken)]
@@ -224,14 +226,13 @@ def assumed_of(
     return found
 
 
-def _change(
-    parameter: Parameter, held: Held, edit: ScalarEdit
-) -> tuple[tuple[Cells, ...], Mode, float, float, str]:
-    """The numbers of a held parameter, and how far off they may be: a share of them, or so much."""
-    if edit.mode == "scale" or (edit.mode == "value" and held.value):
-        share = held.sd / abs(held.value)
-        return edit.written, "scale", share, 100.0 * share, "%"
-    return edit.written, "add", held.sd, held.sd, parameter.unit
+def _change(parameter: Parameter, held: Held, mode: Mode) -> tuple[Mode, float, float, str]:
+    """How far off the numbers of a held parameter may be: by a share of them, or by so much."""
+    share = held.sd / max(abs(held.value), 1e-12)
+    if mode == "scale" or (mode == "value" and share < _HALF):
+        share = min(share, _HALF)
+        return "scale", share, 100.0 * share, "%"
+    return "add", held.sd, held.sd, parameter.unit
 
 
 def _set(cells: Sequence[Cells], taken: Collection[tuple[str, int]]) -> bool:

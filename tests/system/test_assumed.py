@@ -215,3 +215,21 @@ def test_a_zero_that_no_parameter_sets_is_no_parameter() -> None:
     edits = System.load(Path(__file__).parents[2] / "examples" / "systems" / "xl330").edits
     assert any(not edit.columns for edit in edits._edits), "a declared zero of the encoder"
     assert edits.taken and not list(edits.considered())
+
+
+def test_what_is_held_at_a_measured_value_is_assumed_and_what_is_held_as_it_is_stays_so() -> None:
+    measured = {
+        "motor_gain": {"held": 0.98, "held_sd": 0.02}, "command_latency": {"held": 0.001, "held_sd": 0.002},
+        "trunk_load": {"held": 0.3, "held_sd": 0.1},
+    }  # fmt: skip
+    system = System.load("go1_push", {"parameters": measured}, warn=False)
+    found = assumed_of(system, Acting.nothing(system.model), system.space.names, {})
+    held = {value.name.partition(",")[0]: value for value in found if value.setting == "held"}
+    assert set(held) == set(measured), "each once, though the gain is set in two places"
+    assert held["motor_gain"].mode == "scale"
+    assert held["motor_gain"].sd == pytest.approx(0.02 / 0.98)
+    assert (held["command_latency"].mode, held["command_latency"].sd) == ("add", 0.002)
+    assert (held["trunk_load"].mode, held["trunk_load"].sd) == ("add", 0.1)
+    wider = with_assumed(system, list(held.values()))
+    theta = wider.space.theta_of(np.array([[0.0, 0.0, 0.0, -2.0, -2.0, -2.0]]))
+    assert (wider.edits.delays(theta) >= 0.0).all(), "nothing acts before it was commanded"

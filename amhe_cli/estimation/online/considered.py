@@ -80,7 +80,7 @@ class Considered:
 
 def _measured(system: System) -> list[tuple[str, float]]:
     """Names of the held parameters that somebody measured, each with its value moved by an sd."""
-    return list({p.name: held.value + held.sd for p, held, _ in system.edits.considered()}.items())
+    return [(p.name, held.value + held.sd) for p, held, _, _ in system.edits.considered()]
 
 
 def _moved(system: System, engine: Engine, name: str, value: float) -> tuple[System, Engine]:

@@ -58,7 +58,7 @@ class History:
         """Say if the joints of a robot that walks freely are not where its model expects them."""
         expected = self._last.plan.expected if self._last else None
         at = cycle.plan.reference
-        if self.task.one_leg or expected is None or at is None or at.pushing:
+        if not self.task.pushes or expected is None or at is None or at.pushing:
             return
         if cycle.time > _FREE and abs(expected.time - cycle.time) < 1e-6:
             self._missed.append(cycle.estimate.joints - expected.joints)

@@ -81,6 +81,11 @@ class Task:
         return SPEED * self.path.tapered(progress, TAPER)
 
     @property
+    def pushes(self) -> bool:
+        """Whether the robot walks, and pushes what it comes to."""
+        return not self.one_leg
+
+    @property
     def judged_from(self) -> float:
         """Time from which the speed is judged [s]: with one leg, from when it is free."""
         return Tripod().shift_time if self.one_leg else 1.0

@@ -45,7 +45,7 @@ class CommandDelays:
         delays = np.zeros((len(theta), self.width))
         for edit in self.edits:
             edit.write({"command_delay": delays}, theta)
-        return delays
+        return np.maximum(delays, 0.0)  # nothing acts before it was commanded
 
     def with_edits(self, edits: Sequence[ScalarEdit]) -> CommandDelays:
         """The same commands with further edits."""

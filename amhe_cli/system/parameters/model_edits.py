@@ -109,15 +109,16 @@ class ModelEdits:
         edits = [e for e in self._edits if not {self._all.names[i] for i in e.columns[:1]} & guessed]
         return {(cells.field, cells.row) for edit in edits for cells in edit.cells}
 
-    def considered(self) -> Iterator[tuple[Parameter, Held, ScalarEdit]]:
-        """Held parameters that somebody measured, with their values and each of their edits."""
+    def considered(self) -> Iterator[tuple[Parameter, Held, tuple[Cells, ...], Mode]]:
+        """Held parameters that somebody measured: each with its value, what it sets in the model, and how."""
+        measured: dict[Parameter, list[ScalarEdit]] = {}
         for edit in (*self._edits, *self._delays.edits):
-            if not isinstance(edit, ScalarEdit):
-                continue
-            parameter = self._all.parameters[edit.column]
-            held = self.held.get(parameter.name)
-            if held is not None and held.sd:
-                yield parameter, held, edit
+            parameter = self._all.parameters[edit.columns[0]]
+            if isinstance(edit, ScalarEdit) and self.held.get(parameter.name, Held(0.0)).sd:
+                measured.setdefault(parameter, []).append(edit)
+        for parameter, edits in measured.items():
+            cells = tuple(cells for edit in edits for cells in edit.written)
+            yield parameter, self.held[parameter.name], cells, edits[0].mode
 
     def own(self, model: mujoco.MjModel) -> mujoco.MjModel:
         """Copy of a model that these edits have written to, with the base model's own numbers again."""

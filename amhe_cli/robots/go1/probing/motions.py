@@ -190,6 +190,8 @@ class Stroll(Helm):
 class WalkTask(ProbeTask):
     """Free walking; the box stands where the robot does not come."""
 
+    pushes = False
+
     def behaviour(self, gait: Gait = _GAIT) -> Walking:
         """See `Task.behaviour`."""
         alone = PushWeights(box_speed=0.0, box_left=0.0, box_yaw=0.0, box_tilt=0.0, robot_left=0.0)
