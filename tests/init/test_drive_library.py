@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,11 @@ import pytest
 
 import amhe_cli as amhe
 from amhe_cli.cli.main import run
+from amhe_cli.core.belief import belief_of
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.init.drive_library import LibraryDrive, drive, library
+from amhe_cli.system.export.mjlab import MJLAB_TOOL
+from amhe_cli.system.export.randomisation import randomisation
 
 ARM = """<mujoco><worldbody>
   <body name="upper"><joint name="shoulder" axis="0 1 0"/>
@@ -65,6 +69,18 @@ def made(tmp_path: Path, *options: str, gains: str = "", extra: tuple[str, ...] 
     paths = [str(tmp_path / name) for name in ("arm.xml", "arm.csv")]
     assert run(["init", *paths, "-o", str(tmp_path / "arm"), "--force", "-q", *options]) == 0
     return amhe.System.load(tmp_path / "arm")
+
+
+def test_an_export_has_the_back_emf_and_says_what_is_lost(tmp_path: Path) -> None:
+    system = made(tmp_path, "--drive", "elbow=feetech:sts3215", "--gain-p", "16")
+    servo = drive("feetech:sts3215").servo(gain_p=16)
+    size = len(system.space)
+    text = randomisation(system, belief_of(system, np.zeros(size), 1e-6 * np.eye(size)), MJLAB_TOOL)
+    (elbow,) = (line for line in text.splitlines() if 'target_names_expr=("elbow",)' in line)
+    numbers = {key: float(value) for key, value in re.findall(r"(\w+)=([\d.]+)", elbow)}
+    assert numbers["stiffness"] == pytest.approx(servo.kp, rel=1e-2)
+    assert numbers["damping"] == pytest.approx(servo.kv, rel=1e-2)
+    assert "# firmware of servos: punch" in text
 
 
 @pytest.mark.parametrize("gains", ["", "P_Coefficient"])

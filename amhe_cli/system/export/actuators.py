@@ -11,6 +11,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.system.export.randomisation import Drawn, code, ends
 from amhe_cli.system.parameters.gear_friction import GearFriction
+from amhe_cli.system.parameters.servos import OF_SERVO, SERVOS
 
 #: Poses that a joint's usual load is taken from, and the seed of their generator.
 _POSES, _SEED = 200, 0
@@ -78,7 +79,7 @@ class Form:
 def servos(draws: Drawn) -> list[PositionServo]:
     """The model's position servos on hinges and slides, under the estimate."""
     model, delays = draws.model, draws.system.edits.delays(draws.theta)
-    friction = _friction(model)
+    friction, firmware, back_emf = _friction(model), SERVOS.rows(model), list(OF_SERVO).index("back_emf")
     found = []
     for row in _rows(model):
         gain, bias, gear = (
@@ -87,11 +88,12 @@ def servos(draws: Drawn) -> list[PositionServo]:
         joint = int(model.actuator_trnid[row, 0])
         dof = int(model.jnt_dofadr[joint])
         limited = model.actuator_forcelimited[row]
+        lost_by_speed = model.numeric_data[firmware[row][back_emf]] if row in firmware else 0.0
         found.append(
             PositionServo(
                 model.joint(joint).name,
                 float(gain * gear**2),
-                float(-bias[2] * gear**2),
+                float((lost_by_speed - bias[2]) * gear**2),
                 float(model.actuator_forcerange[row, 1] * abs(gear)) if limited else None,
                 float(model.dof_armature[dof]),
                 float(friction[dof]),
@@ -168,9 +170,16 @@ def usual_load(model: mujoco.MjModel) -> FloatArray:
 
 def lost(draws: Drawn) -> list[str]:
     """Lines about what these configurations cannot say."""
+    lines = []
+    if SERVOS.acting(draws.model, ()):
+        lines.append(
+            "firmware of servos: punch, dead band and sag of supply are not in the actuators; back-EMF is "
+            "in their damping, which counts against the effort limit there"
+        )
     if GearFriction.of(draws.model) is None:
-        return []
+        return lines
     return [
+        *lines,
         "friction of gears: constant in the actuators, as under the median load of gravity; it neither grows "
-        "with load nor falls with speed (examples/gear_friction.py is a hook for MuJoCo that applies it)"
+        "with load nor falls with speed (examples/gear_friction.py is a hook for MuJoCo that applies it)",
     ]

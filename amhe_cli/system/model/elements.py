@@ -12,27 +12,16 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError, one_of
 
-#: Kind of element -> MuJoCo's number of the kind.
-_OBJECTS = {
-    "body": mujoco.mjtObj.mjOBJ_BODY,
-    "geom": mujoco.mjtObj.mjOBJ_GEOM,
-    "pair": mujoco.mjtObj.mjOBJ_PAIR,
-    "joint": mujoco.mjtObj.mjOBJ_JOINT,
-    "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
-    "site": mujoco.mjtObj.mjOBJ_SITE,
-    "sensor": mujoco.mjtObj.mjOBJ_SENSOR,
-    "keyframe": mujoco.mjtObj.mjOBJ_KEY,
-}
-#: Kind of element -> field of MjModel with their number.
-_COUNTS = {
-    "body": "nbody",
-    "geom": "ngeom",
-    "pair": "npair",
-    "joint": "njnt",
-    "actuator": "nactuator",
-    "site": "nsite",
-    "sensor": "nsensor",
-    "keyframe": "nkey",
+#: Kind of element -> MuJoCo's number of the kind, and the field of MjModel with their number.
+_KINDS = {
+    "body": (mujoco.mjtObj.mjOBJ_BODY, "nbody"),
+    "geom": (mujoco.mjtObj.mjOBJ_GEOM, "ngeom"),
+    "pair": (mujoco.mjtObj.mjOBJ_PAIR, "npair"),
+    "joint": (mujoco.mjtObj.mjOBJ_JOINT, "njnt"),
+    "actuator": (mujoco.mjtObj.mjOBJ_ACTUATOR, "nactuator"),
+    "site": (mujoco.mjtObj.mjOBJ_SITE, "nsite"),
+    "sensor": (mujoco.mjtObj.mjOBJ_SENSOR, "nsensor"),
+    "keyframe": (mujoco.mjtObj.mjOBJ_KEY, "nkey"),
 }
 #: Kinds of actuators whose controls have quantities.
 _CONTROLLERS = (int(mujoco.mjtGain.mjGAIN_PID), int(mujoco.mjtGain.mjGAIN_DCMOTOR))
@@ -46,8 +35,8 @@ _INPUTS = {
 
 def names_of(model: mujoco.MjModel, kind: str) -> list[str]:
     """Names of all elements of a kind, without the unnamed ones."""
-    count = getattr(model, _COUNTS[kind])
-    names = (mujoco.mj_id2name(model, _OBJECTS[kind], i) for i in range(count))
+    number, count = _KINDS[kind]
+    names = (mujoco.mj_id2name(model, number, i) for i in range(getattr(model, count)))
     return [name for name in names if name and not name.startswith("amhe/")]
 
 
@@ -57,7 +46,7 @@ def id_of(model: mujoco.MjModel, kind: str, name: str) -> int:
     Raises:
         ConfigError: There is none; the text lists those there are.
     """
-    row = mujoco.mj_name2id(model, _OBJECTS[kind], name)
+    row = mujoco.mj_name2id(model, _KINDS[kind][0], name)
     if row < 0:
         raise ConfigError(one_of(kind, name, names_of(model, kind)))
     return row

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
 
 #: The ten numbers p, in column order.
@@ -23,13 +24,8 @@ PSEUDO_NAMES = ("alpha", "d1", "d2", "d3", "s12", "s23", "s13", "t1", "t2", "t3"
 
 def rotation_matrix(quaternion: FloatArray) -> FloatArray:
     """Rotation matrices (..., 3, 3) of unit quaternions w, x, y, z (..., 4)."""
-    w, x, y, z = np.moveaxis(np.asarray(quaternion, dtype=np.float64), -1, 0)
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    turned = rotations.rotate(np.asarray(quaternion, dtype=np.float64)[..., None, :], np.eye(3))
+    return np.swapaxes(turned, -1, -2)
 
 
 def quaternion_of(rotation: FloatArray) -> FloatArray:
@@ -108,15 +104,20 @@ def body_numbers(factor: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray
     Returns:
         Mass (n,), centre of mass (n, 3), principal quaternion (n, 4), principal moments (n, 3).
     """
-    j = factor @ np.swapaxes(factor, -1, -2)
-    mass = j[..., 3, 3]
-    com = j[..., :3, 3] / mass[..., None]
-    second = j[..., :3, :3] - mass[..., None, None] * com[..., :, None] * com[..., None, :]
+    mass, com, second = _moments_of(factor)
     moments, axes = np.linalg.eigh(second)
     handed = np.linalg.det(axes)  # eigh may return a reflection
     axes = axes * np.where(handed < 0.0, -1.0, 1.0)[..., None, None]
     inertia = moments.sum(axis=-1, keepdims=True) - moments
     return mass, com, quaternion_of(axes), inertia
+
+
+def _moments_of(factor: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mass, centre of mass and second moments about it of L L^T."""
+    j = factor @ np.swapaxes(factor, -1, -2)
+    mass = j[..., 3, 3]
+    com = j[..., :3, 3] / mass[..., None]
+    return mass, com, j[..., :3, :3] - mass[..., None, None] * com[..., :, None] * com[..., None, :]
 
 
 def inertia_about_com(factor: FloatArray) -> dict[str, FloatArray]:
@@ -129,10 +130,7 @@ def inertia_about_com(factor: FloatArray) -> dict[str, FloatArray]:
         mass, com_x to com_z, I_xx, I_yy, I_zz, I_xy, I_xz, I_yz, each (n,); products of inertia have the sign
         of the inertia matrix, -integral of x y dm.
     """
-    j = factor @ np.swapaxes(factor, -1, -2)
-    mass = j[..., 3, 3]
-    com = j[..., :3, 3] / mass[..., None]
-    second = j[..., :3, :3] - mass[..., None, None] * com[..., :, None] * com[..., None, :]
+    mass, com, second = _moments_of(factor)
     inertia = np.trace(second, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - second
     numbers = {"mass": mass} | {f"com_{axis}": com[..., i] for i, axis in enumerate("xyz")}
     for pair in ("xx", "yy", "zz", "xy", "xz", "yz"):
