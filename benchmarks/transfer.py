@@ -89,8 +89,9 @@ def robot_of(out: Path, plant: str) -> str:
     except AmheError as error:
         return f"cannot be identified: {error}"
     path.write_text(belief_text(result.belief), encoding="utf-8")
-    (out / f"{plant}-robot.txt").write_text(str(result.table), encoding="utf-8")
-    return "identified"
+    return "identified: " + ", ".join(
+        f"{p.name} {p.estimate:.3g} ± {p.sd:.2g}" for p in result.parameters.values()
+    )
 
 
 def run_cell(out: Path, cell: Cell) -> str:
