@@ -19,6 +19,7 @@ from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.report.folder import reserve
 from amhe_cli.system.description.folders import named_system
 from amhe_cli.system.export.isaaclab import ISAACLAB_TOOL
+from amhe_cli.system.export.loads import WRITERS, load_text, xacro_properties
 from amhe_cli.system.export.mjcf import identified_assets, identified_xml
 from amhe_cli.system.export.mjlab import MJLAB_TOOL
 from amhe_cli.system.export.randomisation import randomisation
@@ -26,7 +27,7 @@ from amhe_cli.system.export.urdf import identified_urdf
 from amhe_cli.system.system import System
 
 #: What a belief can be exported to.
-KINDS = ("mjcf", "urdf", "samples", "mjlab", "isaaclab")
+KINDS = ("mjcf", "urdf", "samples", "mjlab", "isaaclab", "xacro", *WRITERS)
 
 
 def export(
@@ -37,6 +38,7 @@ def export(
     system: System | str | Path | None = None,
     belief_anyway: bool = False,
     urdf: str | Path | None = None,
+    flange: str | None = None,
     count: int = 100,
     models: bool = False,
     seed: int = 0,
@@ -48,11 +50,14 @@ def export(
         belief: The belief, or the path of a belief.yaml.
         to: 'mjcf': identified.xml; 'urdf': identified.urdf; 'samples': samples.npz and samples.csv, draws of
             the belief that keep its correlations; 'mjlab' or 'isaaclab': a Python file with the belief's
-            intervals as randomisation ranges, and the identified model.
+            intervals as randomisation ranges, and the identified model; 'xacro': a file of properties; 'ur',
+            'franka' or 'kuka': what hangs on the flange, as these arms take it.
         out: Folder of the files; made if it does not exist.
         system: The system, its name or folder; None: the one that the belief names, if it comes with amhe.
         belief_anyway: Take a belief about another model too, and only warn of what has changed.
         urdf: For 'urdf' and 'isaaclab': a URDF of the robot, whose text is kept but for the values.
+        flange: For 'ur', 'franka' and 'kuka': the body that is the flange; it and what hangs on it are the
+            load, in its axes.
         count: For 'samples': number of draws.
         models: For 'samples': write an MJCF of each draw too.
         seed: For 'samples': seed of the draws.
@@ -80,6 +85,12 @@ def export(
         raise ConfigError("`urdf`: give the URDF that the values are written into, or take mjcf")
     if urdf is not None and to in ("urdf", "isaaclab"):
         contents["identified.urdf"] = identified_urdf(opened, known.estimate, Path(urdf))
+    elif to == "xacro":
+        contents["identified.xacro"] = xacro_properties(opened, known.estimate)
+    elif to in WRITERS:
+        if flange is None:
+            raise ConfigError("`flange`: name the body whose load is written")
+        contents[WRITERS[to][0]] = load_text(opened, known.estimate, flange, to)
     elif to != "samples":
         contents["identified.xml"] = identified_xml(opened, known.estimate)
     for tool, name in ((MJLAB_TOOL, "mjlab"), (ISAACLAB_TOOL, "isaaclab")):

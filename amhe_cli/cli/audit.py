@@ -125,6 +125,7 @@ def _logs(session: Session, model: Path, given: Given) -> None:
 
 def _print(session: Session, lines: Any, record: dict[str, object], found: Audit | None = None) -> None:
     from amhe_cli.report.audit import STYLES, audit_record, audit_table, audit_text
+    from amhe_cli.report.missing import print_missing
     from amhe_cli.report.tables import rich_table
 
     if session.gave(record | audit_record(lines, found)):
@@ -132,5 +133,7 @@ def _print(session: Session, lines: Any, record: dict[str, object], found: Audit
     console, told = session.console(), [one for one in lines if one.verdict != "cannot tell"]
     console.print_table(rich_table(audit_table(told), STYLES))
     console.print()
+    if found and found.found.missing:
+        print_missing(found.found.missing, console)
     for line in audit_text(lines, found, record.get("out")):
         console.print(line, soft_wrap=True)

@@ -12,17 +12,19 @@ _SHOWN = 2
 
 
 @command(
-    "A belief for other tools: MJCF, URDF, samples, mjlab, Isaac Lab.",
+    "A belief for other tools: MJCF, URDF, samples, trainings, loads of arms.",
     argument("belief", FILE, metavar="BELIEF"),
     option(
         "--to",
-        "What to write; mjlab and isaaclab: randomisation ranges as a Python file, and the model.",
-        ("mjcf", "urdf", "samples", "mjlab", "isaaclab"),
+        "What to write; mjlab and isaaclab: randomisation ranges as a Python file, and the model; ur, franka "
+        "and kuka: the load at --flange, as these arms take it.",
+        ("mjcf", "urdf", "samples", "mjlab", "isaaclab", "xacro", "ur", "franka", "kuka"),
         required=True,
     ),
     options.system_or("that of the belief"),
     options.belief_anyway,
     option("--urdf", "For urdf and isaaclab: this URDF of the robot, with the values in it.", FILE),
+    option("--flange BODY", "For ur, franka and kuka: this body and what hangs on it, in its axes."),
     option("--count", "Number of samples.", COUNT, default=100),
     flag("--models", "With samples: an MJCF of each, too."),
     options.seed,
@@ -37,7 +39,7 @@ def export(session: Session, given: Given) -> None:
     from amhe_cli.api.export import export as write
     from amhe_cli.cli.viewed import system_of_result
 
-    how = given.pick("belief_anyway", "urdf", "count", "models", "seed", "force")
+    how = given.pick("belief_anyway", "urdf", "flange", "count", "models", "seed", "force")
     system = given.system or system_of_result(given.belief)
     files = write(given.belief, given.to, given.reserve(), system=system, **how)
     if session.gave(session.record(files=[str(file) for file in files])):

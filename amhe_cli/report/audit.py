@@ -19,6 +19,7 @@ from amhe_cli.report import numbers
 from amhe_cli.report.folder import results
 from amhe_cli.report.identification import held_out_line
 from amhe_cli.report.identification_page import overlay_section
+from amhe_cli.report.missing import missing_record, missing_section
 from amhe_cli.report.page import Section, Statement, result_page
 from amhe_cli.report.tables import NUMBER, STRONG, Table
 from amhe_cli.system.export.annotated import with_comments
@@ -79,12 +80,12 @@ def count_text(lines: Sequence[Line]) -> str:
 
 def audit_record(lines: Sequence[Line], found: Audit | None) -> dict[str, Any]:
     """The keys of `amhe audit --json` and audit.json."""
-    more = (
-        {}
-        if found is None
-        else {"match": found.system.match, "held_out": found.found.held_out and asdict(found.found.held_out)}
-    )
-    return plain({"numbers": [asdict(line) for line in lines], **more})
+    listed = {"numbers": [asdict(line) for line in lines]}
+    if found is None:
+        return plain(listed)
+    held_out, missing = found.found.held_out, missing_record(found.found.missing)
+    about = {"match": found.system.match, "held_out": held_out and asdict(held_out), "missing": missing}
+    return plain(listed | about)
 
 
 def write_audit(
@@ -167,6 +168,7 @@ def _page(found: Audit, model: Path, record: Mapping[str, Any], origin: Mapping[
             "Of the forces: what the difference is worth, as a share of the joints' forces along the motion.",
             table=audit_table(found.lines),
         ),
+        *([missing_section(found.found.missing)] if found.found.missing else []),
         *([overlay_section(found.found.fits)] if found.found.fits else []),
     ]
     return result_page(
