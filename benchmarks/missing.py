@@ -282,7 +282,7 @@ FAULTS: Mapping[str, tuple[Callable[[Trial], str], tuple[str, ...], Callable[[Ro
     "degrees": (_log_fault(lambda q, u, k: (_scaled(q, k, 180 / np.pi), u)), ("unit",), _turns),
     "thousandths": (_log_fault(lambda q, u, k: (q, _scaled(u, k, 1e3))), ("unit", "command"), None),
     "delay": (_delay, ("delay",), None),
-    "force limit": (_clip, ("force limit",), None),
+    "force limit": (_clip, ("force limit", "servo limit"), None),  # of a servo both are the same
     "idle actuator": (_idle, ("idle actuator", "spring"), None),
     "constant": (_joint_force(0.4, lambda q, v, t: 1.0), ("constant",), None),
     "spring": (_joint_force(0.6, lambda q, v, t: -(q - 0.2)), ("spring",), None),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -92,6 +93,14 @@ class CauseMaker:
             for column in cells.columns or (0,)
         }  # fmt: skip
         self.moved = self._moved()
+
+    @cached_property
+    def left(self) -> FloatArray:
+        """What the free parameters, each where it fits best, leave of the residual, shape (n, k)."""
+        residual = self.found.residual[self.found.rows]
+        slopes = self.found.slopes[:, self.found.rows].reshape(len(self.found.slopes), -1)
+        fit = np.linalg.lstsq(slopes.T, residual.ravel(), rcond=1e-9)[0]
+        return residual - (fit @ slopes).reshape(residual.shape)
 
     def _moved(self) -> dict[int, MeasuredDof]:
         """The measured degrees of freedom; a measured acceleration has the residual's own noise in it."""

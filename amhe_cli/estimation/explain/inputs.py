@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial, reduce
 from itertools import combinations
 
 import numpy as np
@@ -133,45 +134,36 @@ def _all_in(unit: str, factor: float, columns: Sequence[tuple[str, int]]) -> Ite
     for some in dict.fromkeys([*((key,) for key in keys), tuple(keys)]):
         mends = [_scaled(key, {i: factor for of, i in columns if of == key}) for key in some]
         places = ", ".join(key.rpartition(".")[0] for key in some)
-
-        def mend(log: Log, mends: Sequence[Callable[[Log], Log]] = mends) -> Log:
-            for one in mends:
-                log = one(log)
-            return log
-
-        yield Mended("unit", places, f"every column of the log's {places} is in {unit}", mend, _KEYS[unit])
+        text = f"every column of the log's {places} is in {unit}"
+        yield Mended("unit", places, text, lambda log, m=mends: reduce(_then, m, log), _KEYS[unit])
 
 
-def _keys(key: str) -> tuple[str, ...]:
-    signal = key.rpartition(".")[0]
-    return tuple(dict.fromkeys((key, f"{signal}.velocity" if key.endswith(".position") else key)))
+def _then(log: Log, mend: Callable[[Log], Log]) -> Log:
+    return mend(log)
 
 
 def _scaled(key: str, factors: dict[int, float]) -> Callable[[Log], Log]:
-    def mend(log: Log) -> Log:
-        series = dict(log.series)
-        for name in _keys(key):
-            if name in series:
-                values = np.array(series[name].values)
-                for column, factor in factors.items():
-                    values[:, column] *= factor
-                series[name] = replace(series[name], values=values)
-        return replace(log, series=series)
+    def scale(values: FloatArray) -> None:
+        values[:, list(factors)] *= list(factors.values())
 
-    return mend
+    return partial(_changed, key, scale)
 
 
 def _swapped(key: str, i: int, j: int) -> Callable[[Log], Log]:
-    def mend(log: Log) -> Log:
-        series = dict(log.series)
-        for name in _keys(key):
-            if name in series:
-                values = np.array(series[name].values)
-                values[:, [i, j]] = values[:, [j, i]]
-                series[name] = replace(series[name], values=values)
-        return replace(log, series=series)
+    def swap(values: FloatArray) -> None:
+        values[:, [i, j]] = values[:, [j, i]]
 
-    return mend
+    return partial(_changed, key, swap)
+
+
+def _changed(key: str, change: Callable[[FloatArray], None], log: Log) -> Log:
+    """A log with the columns of a series changed, and of a position's velocity likewise."""
+    series, names = dict(log.series), {key, key.removesuffix(".position") + ".velocity"}
+    for name in names & series.keys() if key.endswith(".position") else {key}:
+        values = np.array(series[name].values)
+        change(values)
+        series[name] = replace(series[name], values=values)
+    return replace(log, series=series)
 
 
 def _left(system: System, part: Window) -> FloatArray | None:

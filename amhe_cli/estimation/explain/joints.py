@@ -36,8 +36,8 @@ NUMBERS = {
 LIMITS, _PLACES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.92), (0.6, 0.7, 0.8, 0.9)
 #: Waves on a turn, of what repeats with the angle, and the fewest of them that the motion must pass.
 _WAVES, _PASSED = np.unique(np.geomspace(3, 60, 40).round()), 1.5
-#: Frequencies that are tried of what repeats in time.
-_TIMES = 50
+#: Frequencies at which what repeats in time is looked for, and peaks of them that are tried.
+_STEPS, _PEAKS = 2000, 24
 #: Speeds, in shares of their rms, below which friction may rise.
 _SLOW = (0.1, 0.25, 0.5)
 #: A range of angles [rad] in which a sine is more than a line.
@@ -94,8 +94,6 @@ def _in_time(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
 
     yield maker.on(j, "constant", [np.ones_like(later)], constant, repair=repair)
     yield maker.on(j, "drift", [later], says(f"a force that drifts by # {j.f}/s"))
-    fading = says(f"dry friction that changes by # {j.f}/s", -1.0)
-    yield maker.on(j, "fading friction", [j.way * later], fading)
 
 
 def _springs(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
@@ -223,15 +221,28 @@ def _repeating(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
         if np.ptp(j.q) > _PASSED * finest and usual / finest < band:
             text = f"that repeats {waves:.0f} times a turn (cogging)"
             yield wave("cogging", waves * j.q, text, "position")
-    lowest = 2.0 / max(np.ptp(maker.time), 1e-9)
-    for hertz in np.linspace(lowest, band, _TIMES) if band > lowest else ():
+    for hertz in _peaks(maker, j):
         phase = 2.0 * np.pi * hertz * maker.motion.time
         yield wave("periodic", phase, f"at {hertz:.2g} Hz: something rocks or turns", "time")
+
+
+def _peaks(maker: CauseMaker, j: MeasuredDof) -> FloatArray:
+    """Frequencies [Hz] at which what is unexplained has most, as far as a log of its length tells them apart."""
+    lowest = 2.0 / max(np.ptp(maker.time), 1e-9)
+    hertz = np.arange(lowest, maker.motion.band, lowest / 8.0)[:_STEPS]
+    if hertz.size < 3:
+        return hertz
+    time, left = maker.motion.time[maker.found.rows], maker.left[:, maker.motion.dofs.index(j.dof)]
+    power = np.abs(np.exp(-2j * np.pi * hertz[:, None] * time) @ left)
+    inner = power[1:-1]
+    higher = 1 + np.flatnonzero((inner >= power[:-2]) & (inner >= power[2:]))
+    return hertz[higher[np.argsort(-power[higher])[:_PEAKS]]]
 
 
 def _coupling(maker: CauseMaker, j: MeasuredDof, other: MeasuredDof) -> Iterator[Cause]:
     """A force that comes with another joint's motion."""
     for what, values in (("position", other.q), ("speed", other.v), ("acceleration", other.a)):
         words = says(f"# times the {what} of {other.name}")
-        made = maker.on(j, "coupling", [values - values.mean()], words)
+        rest = [np.ones_like(values)] if what == "position" else []
+        made = maker.on(j, "coupling", [values, *rest], words)
         yield replace(made, against=lambda what=what: maker.drawn(other, what))

@@ -171,8 +171,10 @@ class Regression:
                 least = self._least(candidates, own, error)
             if not total[best] > least[best]:
                 break
-            alike = [best, *self._rivals(falls, total, best, beyond, signs)]
+            alike = self._rivals(falls, total, best, beyond, signs)
             alike = [i for i in alike if self._possible(chosen, weighted, i, candidates[i])]
+            alike = [i for i in alike if self._more(best, [*chosen, i], weighted, signs, least) <= 0.0]
+            alike.insert(0, best)
             best = min(alike, key=lambda i: (candidates[i].numbers, -total[i]))  # the simplest of them
             chosen.append(best)
             rows[best] = total[best] / own[best], tuple(i for i in alike if i != best)
@@ -214,17 +216,25 @@ class Regression:
         """Those that explain more than chance beside all others: later ones may replace earlier ones."""
         kept = list(chosen)
         while kept:
-            falls = []
-            left = self._left(self._beside(kept, weighted), self._residual)
-            for index in kept:
-                x = self._beside([i for i in kept if i != index], weighted)
-                null = self._falls(x, [weighted[index]], left, signs)[0]
-                fall = self._falls(x, [weighted[index]])[0].sum()
-                falls.append(fall - max(np.quantile(null, 1.0 - LEVEL), least[index]))
-            if min(falls) > 0.0:
+            more = [self._more(one, [i for i in kept if i != one], weighted, signs, least) for one in kept]
+            if min(more) > 0.0:
                 break
-            del kept[int(np.argmin(falls))]
+            del kept[int(np.argmin(more))]
         return kept
+
+    def _more(
+        self,
+        index: int,
+        beside: Sequence[int],
+        weighted: Sequence[FloatArray],
+        signs: FloatArray,
+        least: FloatArray,
+    ) -> float:
+        """By how much a candidate explains more beside others than chance and the method's own error."""
+        x, both = self._beside(beside, weighted), self._beside([*beside, index], weighted)
+        null = self._falls(x, [weighted[index]], self._left(both, self._residual), signs)[0]
+        fall = self._falls(x, [weighted[index]])[0].sum()
+        return float(fall - max(np.quantile(null, 1.0 - LEVEL), least[index]))
 
     def _beside(self, chosen: Iterable[int], weighted: Sequence[FloatArray]) -> FloatArray:
         return np.concatenate([self._x, *(weighted[i] for i in chosen)])
@@ -325,7 +335,10 @@ class Regression:
     def _rivals(
         self, falls: FloatArray, total: FloatArray, best: int, beyond: float, signs: FloatArray
     ) -> tuple[int, ...]:
-        """Candidates that explain no less than the best, as far as the scatter over blocks can tell."""
+        """Candidates that explain no less than the best, as far as the scatter over blocks can tell.
+
+        Beside a true one the best would explain no more: `ladder` asks that too.
+        """
         found = []
         for i in np.argsort(-total):
             if i == best or not total[i] > beyond:
