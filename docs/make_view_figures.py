@@ -28,6 +28,11 @@ CLIP = (
     "player.seek(take.start + {} * (take.stop - take.start))"
 )
 CHANNEL = "document.getElementById('channel').value = '{}'; player.panels(); player.redraw()"
+#: Leaves one section of a report.
+ALONE = (
+    "document.body.replaceChildren(document.getElementById('{}')); document.body.style.padding = '0 24px'; "
+    "document.querySelector('section').style.margin = 0"
+)
 #: Picture -> page, width, height, dark, and what is done on the page before.
 PICTURES = {
     "push": ("run", 1280, 900, False, "player.seek(7.4)"),
@@ -55,6 +60,8 @@ def main() -> None:
         command("identify", "example:pendulum", "-o", folder / "found")
         command("run", "--task", "t4", "--duration", "9", "-o", folder / "run")
         command("mhe-replay", "example:t4", "-o", folder / "replay")
+        one.open((folder / "replay" / "report.html").as_uri(), 1180, 420)
+        take(one, "replay", ALONE.format("estimates"))
         for name in ("found", "run", "replay"):
             command("view", folder / name, "--save", folder / f"{name}.html")
         for name in ("t1", "pusher"):

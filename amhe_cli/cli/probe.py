@@ -118,7 +118,7 @@ def probe(session: Session, given: Given) -> None:
             (scratch / "result.json").write_text(json_text(record), encoding="utf-8")
     recorded = not dry_run and (folder / log).exists()
     if recorded:
-        from amhe_cli.report.probe_page import write_probe_page  # figures load after the robot is let down
+        from amhe_cli.report.probe import write_probe_page
 
         write_probe_page(folder, log, opened.system, record)
     if not session.gave(record) and recorded:

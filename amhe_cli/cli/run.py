@@ -106,7 +106,7 @@ def run(session: Session, given: Given) -> None:
         except Exception as fault:  # a fault of the page must not cost the log
             error = error or fault
     if not session.gave(record):
-        print_run(record, opened.task.title, folder, session.console())
+        print_run(record, _facts(opened, link), folder, session.console())
     if at_the_robot.is_trip(error):
         session.failed = True
         return

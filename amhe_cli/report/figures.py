@@ -199,10 +199,11 @@ def _ellipse(result: Identification, *pair: int) -> Panel:
     prior = ends([p.prior for p in known], [p.prior_sd for p in known], circle)
     after = ends([p.estimate for p in known], [p.sd for p in known], turned)
     middle = [np.array([p.estimate]) for p in known]
+    (x, y), (p, q), (m, n) = after, prior, middle
     lines = [
-        Curve(*prior, "before", "before", "dashed", leads=False),
-        Curve(*after, "after", "after", "area"),
-        Curve(*middle, "estimate", "ink", "dots"),
+        Curve(p, q, "before", "before", "dashed", leads=False),
+        Curve(x, y, "after", "after", "area"),
+        Curve(m, n, "estimate", "ink", "dots"),
     ]
     names = [numbers.quantity(p.name, f"[{u}]" if (u := numbers.unit_of(p.unit)) else "") for p in known]
     return Panel(names[1], lines, x=names[0], height=230)

@@ -122,10 +122,9 @@ def _horizon_panel(name: tuple[str, str], line: Sequence[HorizonError]) -> Panel
     seconds = np.array([one.horizon for one in line])
     many = np.array([one.clips >= FEWEST for one in line])
     lines = []
-    for values, color, shape in (
-        ([one.initial for one in line], "before", "dashed"),
-        ([one.identified for one in line], "after", "line"),
-    ):
+    both = {"before": [one.initial for one in line], "after": [one.identified for one in line]}
+    for color, values in both.items():
+        shape = "dashed" if color == "before" else "line"
         known = factor * np.where(np.isfinite(values), values, np.nan)
         lines += [Curve(seconds, known, color, color, "dots")]
         lines += [Curve(seconds[many], known[many], "", color, shape)] if many.sum() > 1 else []

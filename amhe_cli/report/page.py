@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from markupsafe import Markup
+from rich.console import Console
 
 from amhe_cli.report import numbers
 from amhe_cli.report.tables import Table
@@ -23,6 +24,13 @@ class Statement:
     tone: Tone
     text: str
     link: str = ""
+
+
+def print_statements(statements: Iterable[Statement], console: Console) -> None:
+    """Print what a page states, in the colour of its news."""
+    styles: Mapping[Tone, str] = {"good": "", "mixed": "yellow", "bad": "red"}
+    for one in statements:
+        console.print(one.text, style=styles[one.tone], soft_wrap=True)
 
 
 def fixed_statement(fixed: Mapping[str, float], exact: Sequence[str] = ()) -> Iterator[Statement]:

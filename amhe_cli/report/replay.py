@@ -17,7 +17,7 @@ from amhe_cli.estimation.online.predictions import Prediction
 from amhe_cli.estimation.online.replay import Replay
 from amhe_cli.report import figures, numbers, replay_figures
 from amhe_cli.report.folder import results
-from amhe_cli.report.page import Section, Statement, fixed_statement, result_page
+from amhe_cli.report.page import Section, Statement, fixed_statement, print_statements, result_page
 from amhe_cli.report.replay_files import MARKS, estimates_csv, write_log
 from amhe_cli.report.tables import NUMBER, STRONG, Table, rich_table
 
@@ -74,14 +74,7 @@ def print_replay(record: Mapping[str, Any], folder: Path, console: Console) -> N
     console.print()
     console.print(rich_table(parameter_table(record)))
     console.print()
-    if record["fixed"]:
-        console.print(f"fixed: {numbers.named(record['fixed'])}")
-    for c in record["combinations"]:
-        console.print(f"known together: {c['text']} to {numbers.percent(c['sd'])}")
-    console.print(windows_line(record))
-    console.print(speed_line(record))
-    if record["interrupted"]:
-        console.print("interrupted: the estimates end here", style="yellow")
+    print_statements(statements(record), console)
     console.print(Text(f"report: {folder / 'report.html'}", overflow="fold"), soft_wrap=True)
 
 
@@ -105,7 +98,7 @@ def replay_page(
             record["log"],
             f"{record['method']}, window {settings['window']:g} s, "
             f"update every {settings['update_period']:g} s",
-            f"{record['rollouts']['count']:,} rollouts, {record['real_time_factor']:.1f} times real time",
+            f"{record['rollouts']['count']:,} rollouts",
         ),
         headline=headline(record),
         statements=statements(record),
@@ -170,7 +163,7 @@ def _speed(record: Mapping[str, Any]) -> Iterator[Statement]:
         yield Statement(
             "good" if ms["p99"] <= period else "mixed",
             f"An update took {ms['p50']:.0f} ms (median) and {ms['p99']:.0f} ms (99th percentile); the "
-            f"update period is {period:g} ms.",
+            f"update period is {period:g} ms. All took {record['real_time_factor']:.1f} times real time.",
         )
 
 
@@ -199,14 +192,6 @@ def windows_line(record: Mapping[str, Any]) -> str:
         listed = ", ".join(f"{count} with {reason}" for reason, count in reasons.items())
         text += f", {sum(reasons.values())} skipped ({listed})"
     return text
-
-
-def speed_line(record: Mapping[str, Any]) -> str:
-    """The speed in words: '4.1 times real time; an update takes 35 ms (median), 52 ms (99th percentile)'."""
-    ms = record["update_ms"]
-    took = [numbers.MISSING if ms[key] is None else f"{ms[key]:.0f} ms" for key in ("p50", "p99")]
-    factor = record["real_time_factor"]
-    return f"{factor:.1f} times real time; an update takes {took[0]} (median), {took[1]} (99th percentile)"
 
 
 def parameter_table(record: Mapping[str, Any]) -> Table:

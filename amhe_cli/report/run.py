@@ -15,7 +15,7 @@ from amhe_cli.core.files import json_text
 from amhe_cli.core.floor import Floor
 from amhe_cli.report import numbers, run_figures
 from amhe_cli.report.folder import write_page
-from amhe_cli.report.page import Section, Statement, Tone, result_page
+from amhe_cli.report.page import Section, Statement, Tone, print_statements, result_page
 from amhe_cli.report.tables import STRONG, Table, rich_table
 
 
@@ -62,12 +62,12 @@ def write_run(
     write_page(folder, lambda: run_page(task, columns, record, provenance))
 
 
-def print_run(record: Mapping[str, Any], title: str, folder: Path, console: Console) -> None:
-    """Print the verdict, the measures, belief and truth, and where the files are.
+def print_run(record: Mapping[str, Any], task: TaskFacts, folder: Path, console: Console) -> None:
+    """Print the verdict, the measures, what the page states, and where the files are.
 
     Args:
         record: Content of result.json.
-        title: The task in a few words.
+        task: The task.
         folder: Folder of the files.
         console: Console on stdout.
     """
@@ -75,12 +75,12 @@ def print_run(record: Mapping[str, Any], title: str, folder: Path, console: Cons
     if record["trip"]:  # its reason was printed when it came
         text = f"stopped by trip {record['trip']}"
     style = {"good": "green", "mixed": "yellow", "bad": "red"}[tone]
-    line = Text.assemble((f"{record['task']} ({title}), mode {record['mode']}: "), (text, style))
+    line = Text.assemble((f"{record['task']} ({task.title}), mode {record['mode']}: "), (text, style))
     console.print(line, soft_wrap=True)
     console.print()
     console.print(rich_table(measure_table(record)))
     console.print()
-    console.print(belief_line(record))
+    print_statements(statements(record, task), console)
     if (folder / "report.html").exists():
         console.print(Text(f"report: {folder / 'report.html'}", overflow="fold"), soft_wrap=True)
 
@@ -148,14 +148,13 @@ def statements(record: Mapping[str, Any], task: TaskFacts) -> Iterator[Statement
 
 
 def _belief(record: Mapping[str, Any]) -> Iterator[Statement]:
-    truth = record["truth"]
-    wrong = [
-        f"{name} {value:.3g} (true: {truth[name]:.3g})"
-        for name, value in record["belief"].items()
-        if name in truth and abs(value - truth[name]) > 0.02 * abs(truth[name])
-    ]
-    if wrong:
-        yield Statement("mixed", f"At the end the controller planned with {numbers.joined(wrong)}.")
+    if record["belief"]:
+        values = [
+            f"{name} {value:.3g}" + (f" ({record['truth'][name]:.3g})" if name in record["truth"] else "")
+            for name, value in record["belief"].items()
+        ]
+        about = "Belief (truth)" if record["truth"] else "Belief"
+        yield Statement("good", f"{about} at the end: {', '.join(values)}.")
 
 
 def _pace(record: Mapping[str, Any], period: float) -> Iterator[Statement]:
@@ -202,18 +201,6 @@ def measure_table(record: Mapping[str, Any]) -> Table:
     return Table(("measure", "value", "unit"), ("", STRONG, "unit"), rows)
 
 
-def belief_line(record: Mapping[str, Any]) -> str:
-    """The belief in words: 'belief (truth) at the end: box_mass 2 (4), floor_friction 0.3 (0.6)'."""
-    if not record["belief"]:
-        return f"belief: {numbers.MISSING}"
-    truth = record["truth"]
-    values = [
-        f"{name} {value:.3g}" + (f" ({truth[name]:.3g})" if name in truth else "")
-        for name, value in record["belief"].items()
-    ]
-    return f"belief{' (truth)' if truth else ''} at the end: {', '.join(values)}"
-
-
 def number(value: float | None, form: str) -> str:
     """A number in a format of `str.format`, or a dash where there is none."""
     return numbers.MISSING if value is None else form.format(value)
@@ -240,11 +227,3 @@ def _sections(
         note=f"{states} J is the sum of the running cost at 50 Hz; if the box does not arrive, its last "
         "value is charged until the task's time is over.",
     )
-    if columns:
-        yield Section("Cost by term", table=run_figures.cost_table(record["cost_terms"]))
-        yield Section(
-            "Planning",
-            text="The number of effective samples is 1 where one rollout decides, and the number of rollouts "
-            "where all count the same.",
-            figure=run_figures.planning_figure(columns, 1e3 * task.period),
-        )

@@ -11,28 +11,12 @@ from markupsafe import Markup
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.floor import Floor, outline
 from amhe_cli.report import numbers
-from amhe_cli.report.page import cell
-from amhe_cli.report.tables import NUMBER, Table
 from amhe_cli.web.plots import Curve, Mark, Panel, figure
 
 Columns: TypeAlias = Mapping[str, FloatArray]
 
 #: Outlines of the box along its path.
 _OUTLINES = 5
-
-#: Terms of the running cost, in words.
-_TERMS = {
-    "box_speed": "speed of the box",
-    "robot_speed": "speed of the robot",
-    "box_left": "box beside its path",
-    "robot_left": "robot beside the box",
-    "yaw": "heading of the robot",
-    "box_yaw": "heading of the box",
-    "height": "height of the trunk",
-    "tilt": "tilt of the trunk",
-    "box_tilt": "tilt of the box",
-    "knots": "plan off the reference",
-}
 
 
 def path_figure(c: Columns, floor: Floor) -> Markup:
@@ -94,36 +78,6 @@ def belief_figure(c: Columns, units: Mapping[str, str]) -> Markup:
         most = 2.0 * highest if band and np.nanmax(band[1]) > 2.0 * highest else None
         panels.append(Panel(name, lines, numbers.unit_of(units.get(name, "")), low=0.0, high=most))
     return figure(panels)
-
-
-def planning_figure(c: Columns, period_ms: float) -> Markup:
-    """Histogram of the cycle times [ms], and the number of effective samples over time."""
-    top = max(float(np.quantile(c["plan_ms"], 0.995)), 1.2 * period_ms)
-    counts, edges = np.histogram(np.minimum(c["plan_ms"], top), 40, (0.0, top))
-    cycles = Curve(edges, np.append(counts, counts[-1:]).astype(float), "", "after", "step")
-    period = Mark(period_ms, "the control period", "before")
-    samples = Curve(c["time"], c["effective_samples"], color="measured")
-    return figure(
-        [
-            Panel("cycles", [cycles], x="time of a cycle [ms]", marks=[period], low=0.0),
-            Panel("effective samples", [samples], low=0.0),
-        ],
-        2,
-    )
-
-
-def cost_table(terms: Mapping[str, float]) -> Table:
-    """The terms of the cost, the largest first."""
-    total = sum(terms.values()) or 1.0
-    rows = [
-        (
-            _TERMS.get(name, name),
-            f"{value:,.0f}",
-            cell("bar", value / total, f"{value / total:.0%}", long=True),
-        )
-        for name, value in sorted(terms.items(), key=lambda item: -item[1])
-    ]
-    return Table(("term", "cost", ""), ("", NUMBER, ""), rows)
 
 
 def _changes(c: Columns) -> Iterator[Mark]:

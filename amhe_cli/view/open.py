@@ -88,7 +88,7 @@ class LogView:
         panels = []
         for k in sorted(np.argsort(-moved / noise, kind="stable")[:_COLUMNS].tolist()):
             factor, unit = shown_unit(columns[k].unit)
-            time = recording.track.step * np.arange(len(recording.track.values))
+            time = recording.track.step * np.arange(len(recording.track.values), dtype=np.float64)
             measured = Curve(time, factor * recording.track.values[:, k], "measured", "measured", "dots")
             ghosts = [_over_clips(takes, i, k, name, factor) for i, name in enumerate(self.found.candidates)]
             title = " ".join(dict.fromkeys((columns[k].channel, columns[k].name)))
@@ -176,7 +176,8 @@ def view_of(
 def _last(curve: TimeCurve) -> tuple[float, float, float]:
     """The last value of a curve, and its interval."""
     value = float(curve.values[-1])
-    return (value, value, value) if curve.band is None else (value, *map(float, curve.band[:, -1]))
+    low, high = (value, value) if curve.band is None else map(float, curve.band[:, -1])
+    return value, low, high
 
 
 def _believed(system: System, estimates: Mapping[str, TimeCurve], start: FloatArray) -> Candidate:

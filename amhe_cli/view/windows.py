@@ -46,15 +46,14 @@ class WindowsShown(Broadcast[tuple[Window, Estimate]]):
         if not usable(self._scene.system, window):
             yield last
             return
-        z = np.stack((self._first, space.z_of(estimate.theta)))
+        z = [self._first, space.z_of(estimate.theta)]
         measured = MeasuredLog(self._scene, window.log, z[-1])
         (take,) = takes_of(measured, 0, [(window, None)], z, self._engine, 1.0 / STEP)
         tracks = [
             None if track is None else track.poses.astype("<f4") for track in (take.measured, *take.ghosts)
         ]
-        times = (
-            estimate.time - take.stop + take.start + take.measured.step * np.arange(len(take.measured.poses))
-        )
+        begun = estimate.time - window.length * window.log.dt
+        times = begun + take.measured.step * np.arange(len(take.measured.poses))
         for k in np.flatnonzero(times > self._shown + 0.5 * STEP):
             self._shown = float(times[k])
             poses = [None if each is None else b64encode(each[k].tobytes()).decode() for each in tracks]

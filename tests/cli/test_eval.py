@@ -74,7 +74,7 @@ def test_a_study_leaves_a_file_a_cell_and_all_that_is_made_of_them(done: Path) -
 
 def test_the_page_needs_no_network(done: Path) -> None:
     page = (done / "report.html").read_text()
-    assert page.count("<svg") == 3
+    assert page.count("<figure class=drawn><svg") == 3
     for loading in ("<script src", "fetch(", "<link", "src=", "url(http", "@import"):
         assert loading not in page
 

@@ -74,12 +74,12 @@ def test_the_verdict_is_one_of_a_few(changed: dict[str, Any], expected: tuple[st
 
 def test_what_is_printed_names_a_trip_and_a_truth_only_where_there_is_one(tmp_path: Path, capsys) -> None:
     trip = {"task": "t1", "mode": "baseline"} | {"error": "no plan", "trip": "plan_lost", "truth": {}}
-    print_run(RECORD | trip, "straight", tmp_path, Console(width=200))
+    print_run(RECORD | trip, TASK, tmp_path, Console(width=200))
     out = capsys.readouterr().out
     assert "stopped by trip plan_lost\n" in out
-    assert "belief at the end: " in out
-    print_run(trip | RECORD, "straight", tmp_path, Console(width=200))
-    assert "belief (truth) at the end: " in capsys.readouterr().out
+    assert "Belief at the end: " in out
+    print_run(trip | RECORD, TASK, tmp_path, Console(width=200))
+    assert "Belief (truth) at the end: " in capsys.readouterr().out
 
 
 PROVENANCE = {
@@ -102,14 +102,14 @@ def test_a_run_without_a_cycle_has_a_page_without_figures() -> None:
 
 
 @pytest.mark.medium
-def test_the_page_draws_path_motion_belief_cost_and_planning() -> None:
+def test_the_page_draws_path_motion_and_belief() -> None:
     names = (
         "time trunk_x trunk_y box_x box_y box_yaw foot_x foot_y speed command to_goal left plan_ms "
         "effective_samples belief/box_mass truth/box_mass"
     )
     html = page({name: np.linspace(0.1, 1.0, 50) for name in names.split()})
     titles = ["y [m]", "forward speed of the robot", "box from the goal", "box left of its path", "box_mass"]
-    assert [panel["title"] for panel in panels(html)] == [*titles, "cycles", "effective samples"]
+    assert [panel["title"] for panel in panels(html)] == titles
     assert {line.get("name") for line in panels(html)[4]["lines"]} == {"true", "believed"}
     robot = page({name: np.linspace(0.1, 1.0, 50) for name in names.split() if "truth" not in name})
     assert {line.get("name") for line in panels(robot)[4]["lines"]} == {"believed"}

@@ -88,6 +88,7 @@ class Panel {
     const { panel, scatter } = this, time = axis === "x" && !scatter, log = panel.log && axis === "y";
     const values = (line) => axis === "x" ? [line.x] : [line.y, line.lower ?? [], line.upper ?? []].map((some) => Array.from(some).filter((_, i) => line.x[i] >= this.x[0] && line.x[i] <= this.x[1]));
     const [leads, others] = [true, false].map((lead) => this.lines.filter((line) => (line.leads !== false || time) === lead).flatMap(values));
+    if (axis === "y") others.push(this.marks.filter((mark) => mark.axis === "y").flatMap(({ at }) => at));
     let [low, high] = spread(leads.length ? leads : others);
     if (leads.length && others.length) {
       const all = spread(others), most = Math.max(2 * (high - low), 1e-9);
