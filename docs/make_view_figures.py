@@ -60,7 +60,7 @@ def main() -> None:
         command("identify", "example:pendulum", "-o", folder / "found")
         command("run", "--task", "t4", "--duration", "9", "-o", folder / "run")
         command("mhe-replay", "example:t4", "-o", folder / "replay")
-        one.open((folder / "replay" / "report.html").as_uri(), 1180, 420)
+        one.open((folder / "replay" / "report.html").as_uri(), 1180, 310)
         take(one, "replay", ALONE.format("estimates"))
         for name in ("found", "run", "replay"):
             command("view", folder / name, "--save", folder / f"{name}.html")
