@@ -1,6 +1,7 @@
-"""Make docs/gallery/, pages of results to look at without an install: `python docs/make_gallery.py FOLDER`.
+"""Make docs/gallery/ and the pictures of the tutorial: `python docs/make_gallery.py FOLDER`, with Chromium.
 
-FOLDER keeps the results between runs; those that are missing are made, in some four minutes.
+docs/gallery/ has pages of results to look at without an install. FOLDER keeps the results between runs; those
+that are missing are made, in some four minutes.
 """
 
 from __future__ import annotations
@@ -8,33 +9,59 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
-GALLERY = Path(__file__).with_name("gallery")
+DOCS = Path(__file__).parent
+sys.path.insert(0, str(DOCS.parent))
+from tests.view.browser import browser  # noqa: E402
+
 #: Name -> the commands that make its result, in the folder NAME.
 RESULTS = {
     "pendulum": [("identify", "example:pendulum", "-o", "pendulum")],
+    "lie": [("identify", "example:pendulum", "--only", "load_mass,*damping", "-o", "lie")],
     "arm": [
         ("init", "example:arm", "example:arm", "--actuators", "-o", "arm-system", "--force"),
         ("identify", "example:arm", "--system", "arm-system", "-o", "arm"),
     ],
     "go1": [("identify", "example:t1", "-o", "go1")],
 }
+#: Results whose pages are kept.
+KEPT = ("pendulum", "arm", "go1")
+#: Picture -> page, the part of it that is shown, height.
+PICTURES = {
+    "arm-found": ("arm/report.html", "top", 760),
+    "arm-overlay": ("arm/report.html", "measured-against-predicted", 760),
+    "arm-budget": ("arm/report.html", "where-each-interval-comes-from", 560),
+    "arm-view": ("arm/view.html", "top", 760),
+    "lie": ("lie/report.html", "top", 560),
+    "truth": ("pendulum/report.html", "top", 560),
+}
+#: Shows a part of a page, unfolded.
+SHOW = "(() => {{ const it = document.getElementById('{0}'); it.open = true; it.scrollIntoView(); }})()"
 
 
 def main() -> None:
-    """Make the results that are missing, and copy their pages."""
+    """Make the results that are missing, copy their pages, and take the pictures."""
     folder = Path(sys.argv[1])
     folder.mkdir(parents=True, exist_ok=True)
-    GALLERY.mkdir(exist_ok=True)
     for name, commands in RESULTS.items():
         if not (folder / name / "view.html").exists():
             for command in commands:
                 subprocess.run([sys.executable, "-m", "amhe_cli", *command], cwd=folder, check=True)
+    (DOCS / "gallery").mkdir(exist_ok=True)
+    for name in KEPT:
         for page in ("report", "view"):
             text = (folder / name / f"{page}.html").read_text(encoding="utf-8")
             for other in ("report", "view"):
                 text = text.replace(f'"{other}.html', f'"{name}-{other}.html')
-            (GALLERY / f"{name}-{page}.html").write_text(text, encoding="utf-8")
+            (DOCS / "gallery" / f"{name}-{page}.html").write_text(text, encoding="utf-8")
+    with TemporaryDirectory(ignore_cleanup_errors=True) as scratch, browser(Path(scratch)) as one:
+        for picture, (page, part, height) in PICTURES.items():
+            one.open((folder / page).resolve().as_uri(), 1180, height)
+            if part != "top":
+                one.run(SHOW.format(part))
+            one.run("new Promise((done) => setTimeout(done, 1500))")
+            one.picture(DOCS / "figures" / "tutorial" / f"{picture}.webp")
 
 
 if __name__ == "__main__":
