@@ -8,6 +8,8 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+import mujoco
+import numpy as np
 import pytest
 import yaml
 
@@ -15,7 +17,6 @@ from amhe_cli.cli.command import FORMER
 from amhe_cli.cli.main import amhe, run
 
 ROOT = Path(__file__).parents[1]
-LOGS = ROOT / "examples" / "logs"
 #: Parts of the site that are the user's path; Commands is written from the commands themselves.
 PATH = ("amhe", "Tutorial", "How to", "Understand", "Troubleshooting", "Glossary", "Reference")
 #: Words that the user's path may have.
@@ -67,14 +68,32 @@ def test_commands_and_options_that_a_page_shows_exist(page: Path) -> None:
         assert used <= known | FORMER.keys(), line
 
 
+#: The user's robot: a link on a servo.
+ROBOT = """<mujoco model="my_robot"><option timestep="0.005"/><worldbody><body name="fore">
+  <joint name="elbow" axis="0 1 0" range="-2 2" damping="0.1" frictionloss="0.02" armature="0.002"/>
+  <geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.02" mass="0.3"/></body></worldbody>
+  <actuator><position name="elbow" joint="elbow" kp="4" forcerange="-2 2"/></actuator></mujoco>"""
+
+
+def swing(phase: float) -> str:
+    """Six seconds of the robot, as a table."""
+    model = mujoco.MjModel.from_xml_string(ROBOT)
+    data, rng, rows = mujoco.MjData(model), np.random.default_rng(0), ["time,elbow_pos,elbow_cmd"]
+    for step in range(1200):
+        if step % 2 == 0:
+            data.ctrl[0] = 0.8 * np.sin(2.0 * data.time + phase) + 0.4 * np.sin(5.0 * data.time)
+            rows.append(f"{data.time:.4f},{data.qpos[0] + rng.normal(0, 1e-3):.5f},{data.ctrl[0]:.5f}")
+        mujoco.mj_step(model, data)
+    return "\n".join(rows) + "\n"
+
+
 @pytest.fixture(scope="module")
 def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What pages take for given: a log and a model of the user's, a system folder, a result."""
+    """What pages take for given: logs and a model of the user's, a system folder, a result."""
     folder = tmp_path_factory.mktemp("user")
-    rows = (LOGS / "arm.csv").read_text().splitlines(keepends=True)
-    for name, part in {"my_log": rows[:601], "run1": rows[:601], "run2": rows[:1] + rows[800:1400]}.items():
-        (folder / f"{name}.csv").write_text("".join(part))
-    shutil.copy(LOGS / "arm.xml", folder / "my_robot.xml")
+    (folder / "my_robot.xml").write_text(ROBOT.replace('damping="0.1"', 'damping="0.05"'))
+    for name, phase in {"my_log": 0.0, "run1": 0.0, "run2": 1.0}.items():
+        (folder / f"{name}.csv").write_text(swing(phase))
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         quick(patch)

@@ -55,6 +55,9 @@ class Inputs:
         Raises:
             ConfigError: There is no such system, the logs name none or several, or a setting is wrong.
         """
+        import logging  # not at the top: --help needs none
+
+        from amhe_cli.core.errors import NOTE
         from amhe_cli.system.description.folders import find_system
         from amhe_cli.system.system import System
 
@@ -67,6 +70,10 @@ class Inputs:
             own = merged(own, _own_settings(metadata))
         if beside.system is None or folder.resolve() == find_system(beside.system).resolve():
             own = merged(own, beside.settings)
+            if beside.file:
+                logging.getLogger(__name__).log(
+                    NOTE, "%s says which system and settings these are", beside.file
+                )
         settings, schema = self.overrides.suited(folder, own)
         loaded = System.load(folder, settings, schema=schema)
         return loaded.reading(self.topics)
@@ -136,6 +143,7 @@ def urdf_options(
 class _Beside:
     """What amhe.toml says: a system, and settings as they stand in system.yaml."""
 
+    file: Path | None = None
     system: str | Path | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
 
@@ -172,7 +180,7 @@ def _beside(logs: Sequence[Path]) -> _Beside:
         },
     }
     settings = merged(said.get("settings") or {}, described)
-    return _Beside(system, {key: value for key, value in settings.items() if value})
+    return _Beside(found[0], system, {key: value for key, value in settings.items() if value})
 
 
 def _stated(logs: Sequence[Path]) -> dict[Path, Mapping[str, str]]:
