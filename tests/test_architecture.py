@@ -322,7 +322,7 @@ def test_the_library_speaks_of_arguments_not_of_options() -> None:
     option = re.compile(r"(^|[\s('\"`])--[a-z]")
     library = [module for module in ROOMED if not module.startswith("cli/")]
     wrong = [(m, text) for m in library for text in texts_of(m) if option.search(OF_A_COMMAND.sub("", text))]
-    assert not wrong, "write the argument in backquotes; cli/wording.py makes an option of it"
+    assert not wrong, "write the argument in backquotes; the command line makes an option of it"
 
 
 def test_the_library_reads_no_environment_and_no_arguments() -> None:

@@ -274,7 +274,7 @@ def next_steps(folder: str | Path) -> list[str]:
     return [
         f"look: amhe view {quoted}",
         f"use: {quoted}/identified.xml",
-        f"randomise: amhe export {quoted}/belief.yaml --to mjlab",
+        f"randomise: amhe export --to mjlab {quoted}/belief.yaml",
     ]
 
 
