@@ -33,9 +33,7 @@ def print_plan(record: Mapping[str, Any], console: Console) -> None:
     """Print the sequence of motions and the expected posterior sds; `record` is the content of plan.json."""
     console.print(f"probe of {motions(record)}", soft_wrap=True)
     console.print()
-    _print_known(
-        record, {"prior": "prior sd", "expected": "expected", "plain": plain_heading(record)}, console
-    )
+    _print_known(record, planned_columns(record), console)
     console.print(AT_BEST, style="dim")
 
 
@@ -62,9 +60,10 @@ def motions(record: Mapping[str, Any]) -> str:
     return f"{record['probe_seconds']:g} s: {names}"
 
 
-def plain_heading(record: Mapping[str, Any]) -> str:
-    """Heading of the sds after a plain motion of the same length."""
-    return f"{record['probe_seconds']:g} s {record['plain_title']}"
+def planned_columns(record: Mapping[str, Any]) -> dict[str, str]:
+    """Headings of the sds of a plan; those after a plain motion of the same length, where there is one."""
+    plain = {"plain": f"{record['probe_seconds']:g} s {record['plain_title']}"}
+    return {"prior": "prior sd", "expected": "expected"} | (plain if record["plain_title"] else {})
 
 
 def _print_known(known: Mapping[str, Any], columns: Mapping[str, str], console: Console) -> None:
@@ -152,7 +151,7 @@ def _statements(record: Mapping[str, Any]) -> Iterator[Statement]:
 
 
 def _sections(log: Path, system: System, record: Mapping[str, Any]) -> Iterator[Section]:
-    columns = {"prior": "prior sd", "expected": "expected", "plain": plain_heading(record)}
+    columns = planned_columns(record)
     columns |= {"achieved": "achieved"} if has_achieved(record) else {}
     yield Section(
         "How precisely the parameters are known",

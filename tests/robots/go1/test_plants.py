@@ -9,6 +9,7 @@ import pytest
 
 from amhe_cli.control.controller import Plan
 from amhe_cli.core.errors import ConfigError
+from amhe_cli.estimation.design.probe import ProbeOptions
 from amhe_cli.live.target import SimTarget
 from amhe_cli.robots.go1.behaviours.gait import Gait
 from amhe_cli.robots.go1.history import History
@@ -18,6 +19,7 @@ from amhe_cli.robots.go1.model import Box, layout, plant_model
 from amhe_cli.robots.go1.plant import Plant
 from amhe_cli.robots.go1.plants import PLANTS, PlantShape, find_plant, shaped_plant
 from amhe_cli.robots.go1.probing.motions import WALK
+from amhe_cli.robots.go1.probing.probe import PushProbe
 from amhe_cli.robots.go1.run import RunOptions, open_run, system_of
 from amhe_cli.robots.go1.state import SensorNoise
 from amhe_cli.robots.go1.tasks import find_task
@@ -138,3 +140,10 @@ def test_free_walking_goes_back_and_ahead_and_never_to_the_box() -> None:
     assert np.diff(places).max() > 0.002, "it goes ahead, too"
     start = run.plant.qpos[layout(run.plant.model).box][:2]
     np.testing.assert_allclose(start, [0.6, 0.0], atol=0.04)
+
+
+@pytest.mark.slow
+def test_free_walking_is_expected_to_tell_every_number_of_the_robot() -> None:
+    probe = PushProbe(ProbeOptions(task="walk", seconds=3.0))
+    plan = probe.design(lambda text: None)
+    assert (np.sqrt(np.diag(plan.expected.covariance)) < 0.6 * probe.system.space.prior_sd).all()

@@ -103,7 +103,7 @@ class PushProbe:
             say("rehearsing free walking")
             known = self._information(WALK.motion, 0, np.zeros(len(space))) * options.seconds
             part = (WALK.motion.name, WALK.motion.title, options.seconds)
-            return ProbePlan(parts_of([part]), accuracy(space, known), None, "")
+            return ProbePlan(parts_of([part]), accuracy(space, known[None]), None, "")
         draws = ensemble(space, self.system.settings.probe.pairs, options.rng(0))
         found = []
         for number, motion in enumerate(MOTIONS):
