@@ -144,6 +144,8 @@ def information(
     times = channel_times(cost, first.residual, slopes.completed)
     times = tuple(1.0 + repeats * (time - 1.0) for time in times)
     found = fitted(first.residual, times)
+    if straight:  # it shapes samples, and is no posterior
+        return found
     bent = found.weight * _bent(cost, first.residual)
     each = _of_residuals(cost, times)
     arrays = gz, gx, bent, found.weight * found.residual * np.sqrt(each)
@@ -170,10 +172,9 @@ def _sandwich(
     # each nuisance that was fitted has taken its part of the residuals (MacKinnon and White 1985)
     count, taken = (pull != 0.0).sum(axis=1), gx.shape[1] - np.einsum("cii->c", inverse)
     left = (count / np.maximum(count - taken, 1.0))[:, None, None]
+    scatter = left * (moved @ moved.transpose(0, 2, 1))
     # and errs by its prior, of variance 1, and the score with it
-    return bz @ slope.transpose(0, 2, 1), left * moved @ moved.transpose(0, 2, 1) + gain @ gain.transpose(
-        0, 2, 1
-    )
+    return bz @ slope.transpose(0, 2, 1), scatter + gain @ gain.transpose(0, 2, 1)
 
 
 def _bent(cost: MatchingCost, residual: FloatArray) -> FloatArray:

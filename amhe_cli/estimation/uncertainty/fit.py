@@ -94,9 +94,9 @@ def posterior(z: FloatArray, found: Information, weight: FloatArray, prior: Floa
 
     The scatter of the clips' scores replaces what white noise would give (Huber's sandwich with the clip as
     the independent unit), shrunk towards the scatter of their samples as far as the clips are too few to tell
-    the two apart. At the estimate, scores are
-    smaller than at the truth, since the fit has followed each clip a little: their mean square is
-    B_c - B_c H^-1 M_c and not B_c (Bell and McCaffrey 2002). What is missing of it is added.
+    the two apart. At the estimate, scores are smaller than at the truth, since the fit has followed each clip
+    a little: their mean square is B_c - B_c H^-1 M_c and not B_c (Bell and McCaffrey 2002). What is missing
+    of it is added.
 
     Args:
         z: Where the clips were linearised, from the prior's mean, shape (d,).
