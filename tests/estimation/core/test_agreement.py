@@ -133,20 +133,6 @@ def test_tail_of_chi_square(value: float, freedom: int, share: float) -> None:
     assert exceeded(value, freedom) == pytest.approx(share, abs=0.003)
 
 
-def test_a_mean_beyond_a_bound_stands_on_it_and_others_follow() -> None:
-    covariance = np.array([[4.0, 3.0], [3.0, 9.0]])
-    low, high = np.array([-1.0, -5.0]), np.array([1.0, 5.0])
-    found = mean_within(np.array([2.0, 1.0]), covariance, (low, high))
-    np.testing.assert_allclose(found, [1.0, 1.0 - 3.0 / 4.0])
-    np.testing.assert_array_equal(mean_within(np.zeros(2), covariance, (low, high)), 0.0)
-    # what would leave its bound by itself does not where it follows the other
-    coupled = np.array([[1.0, 0.6], [0.6, 1.0]])
-    above = np.zeros(2), np.full(2, np.inf)
-    np.testing.assert_allclose(mean_within(np.array([-1.0, -0.1]), coupled, above), [0.0, 0.5])
-    # the second follows the first beyond its own bound, and is held there
-    np.testing.assert_allclose(mean_within(np.array([9.0, -2.0]), covariance, (low, high)), [1.0, -5.0])
-
-
 def test_a_difference_of_posteriors_has_the_covariance_of_its_equation() -> None:
     """C_i + C_j - C_i P C_j - C_j P C_i, from noise and pull of each."""
     _, (one, other), prior, *_ = beliefs(4, np.zeros((2, 3)))

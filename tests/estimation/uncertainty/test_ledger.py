@@ -130,30 +130,6 @@ def test_curvature_is_what_wider_samples_add() -> None:
     assert not terms.curvature(wide, fit.posterior).covariance.any(), "none where they are sharper"
 
 
-def inherited(strong: float) -> Ledger:
-    """A log whose prior is a belief with a shared part, the log `strong` times as informative as it."""
-    prior, systematic = np.diag([0.02, 0.03, 0.01]), np.diag([0.01, 0.0, 0.0])
-    space = ParameterSpace(
-        SPACE.parameters, tuple(map(tuple, prior.tolist())), tuple(map(tuple, systematic.tolist()))
-    )
-    slopes = np.sqrt(strong) * np.linalg.cholesky(space.prior_precision).T[None]
-    fit = fit_of(np.swapaxes(slopes, 1, 2), space.prior_precision)
-    own = [terms.noise(fit), terms.prior(space, fit)]
-    own.append(Term("assumed", np.array([[0.1], [0.0], [0.0]]), (Source("the gain"),), shared=True))
-    return Ledger(tuple(terms.inherited(space, fit, own)))
-
-
-def test_what_a_belief_and_a_log_have_wrong_alike_adds_up() -> None:
-    """Both err by 0.1 for the same cause: so does what becomes of them, however they are weighed."""
-    for strong in (0.0, 1.0, 4.0):
-        found = inherited(strong)
-        np.testing.assert_allclose(found.shared, np.diag([0.01, 0.0, 0.0]), atol=1e-12)
-    assert inherited(0.0).sd == pytest.approx(np.sqrt([0.02, 0.03, 0.01])), (
-        "a log that says nothing adds none"
-    )
-    assert terms.inherited(SPACE, None, []) == []  # type: ignore[arg-type]
-
-
 # -- what repeats --------------------------------------------------------------------------------------------
 
 
@@ -211,3 +187,4 @@ def test_errors_of_one_cause_add_up_exactly_in_any_direction() -> None:
         rest = (np.eye(3) - pull) @ shared.errors
         both = root(rest @ rest.T) + root(pull @ systematic @ pull.T)
         np.testing.assert_allclose(found.shared, both @ both, atol=1e-10)
+    assert terms.inherited(SPACE, None, []) == []  # type: ignore[arg-type]
