@@ -246,7 +246,7 @@ QUICK = {
 
 
 def test_runs_are_told_apart_in_the_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    system, logs, dampings = amhe.System.load("pendulum", QUICK), [], (0.033, 0.035, 0.041)
+    system, logs, dampings = amhe.System.load("pendulum", QUICK), [], (0.033, 0.035, 0.044)
     for i, damping in enumerate(dampings):
         monkeypatch.setitem(conftest.PENDULUM_TRUTH, "damping", damping)
         path = conftest.write_pendulum_log(tmp_path / f"run{i + 1}.mcap", 4.0, seed=i)
