@@ -246,7 +246,7 @@ QUICK = {
 
 
 def test_runs_are_told_apart_in_the_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    system, logs, dampings = amhe.System.load("pendulum", QUICK), [], (0.033, 0.035, 0.044)
+    system, logs, dampings = amhe.System.load("pendulum", QUICK), [], (0.033, 0.035, 0.041)
     for i, damping in enumerate(dampings):
         monkeypatch.setitem(conftest.PENDULUM_TRUTH, "damping", damping)
         path = conftest.write_pendulum_log(tmp_path / f"run{i + 1}.mcap", 4.0, seed=i)
@@ -259,7 +259,8 @@ def test_runs_are_told_apart_in_the_result(tmp_path: Path, monkeypatch: pytest.M
     for run, value in zip(result.found.runs, dampings, strict=True):
         estimate, sd = run.values["damping"]
         assert abs(estimate - value) < 5.0 * sd
-        assert damping.lower < value < damping.upper
+    # of the differences only what chance does not explain counts
+    assert 0.5 < damping.sd / np.std(dampings, ddof=1) < 1.2
     table = _run_table(result.found)
     assert table.head[1:-2] == ("run1.mcap", "run2.mcap", "run3.mcap")
     assert result.record()["runs"][0]["log"] == "run1.mcap"
