@@ -241,11 +241,27 @@ method = setting(
     ("linearised", "logrank"),
 )
 #: The online estimator's settings that have options.
+followed = in_panel(
+    _SEARCH,
+    setting(
+        "match",
+        "Compare the motion under what drives it, or the joints' efforts along it.  [default: the system's]",
+        ("motion", "effort"),
+    ),
+)
 estimator = in_panel(
     _SEARCH,
     method,
-    setting("mhe.window", "Time that one update looks back.  [default: 0.5; of go1_push 0.4]", SECONDS),
-    setting("mhe.update_period", "Time between two updates.  [default: 0.2; of go1_push 0.1]", SECONDS),
+    setting(
+        "mhe.window",
+        "Time that one update looks back.  [default: 0.5; of go1_push 0.4, of efforts 1]",
+        SECONDS,
+    ),
+    setting(
+        "mhe.update_period",
+        "Time between two updates.  [default: 0.2; of go1_push 0.1, of efforts 0.5]",
+        SECONDS,
+    ),
     setting(
         "mhe.samples B",
         "Rollouts of one iteration; linearised takes two for each unknown, or more, and one at the mean.  "

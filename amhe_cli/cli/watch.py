@@ -58,6 +58,7 @@ def _command(ctx: click.Context, param: click.Parameter, value: str | None) -> s
     options.msg_path,
     options.believed("Start from a belief.yaml, its sd floored so that it can still move."),
     options.narrowing,
+    options.followed,
     flag("--resume", "Go on from the belief.yaml in OUT, if there is one, and add to its files."),
     option("--speed", "LOG: play it so many times as fast.", Number("X", min=0, min_open=True), default=1.0),
     option(
