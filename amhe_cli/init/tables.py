@@ -1,4 +1,4 @@
-"""What the columns of a table hold, judged by their names: joint states and commands, as topics would."""
+"""What the columns of a table hold, by their names: joint states, commands and poses, as topics would."""
 
 from __future__ import annotations
 
@@ -25,6 +25,10 @@ _MEASURED = ("", "measured", "meas", "actual", "act", "state", "raw", "filtered"
 _COMMANDED = {*COMMANDS, "con", "des", "soll", "cmptd", "computed", "calc", "calculated", "ff"}
 #: Words in the name of a column that holds what a drive was given, if it is not that of its supply.
 _DRIVING, _SUPPLY = {"voltage", "voltages", "volt", "volts", "duty", "pwm", "u"}, {"battery", "supply", "bus"}
+#: A column of a pose: whose, a position or a quaternion, and the axis; `px`, `cube_x`, `cube.orientation.w`.
+_POSE = re.compile(
+    r"(.*?)[_. ]?(p|pos|position|q|quat|quaternion|rot|orientation)?[_. ]?([wxyz])", re.IGNORECASE
+)
 #: How LeRobot calls the measured and the commanded positions of joints.
 _LEROBOT = re.compile(r"^(observation\.state|action)(\.|$|\[)")
 
@@ -55,7 +59,7 @@ class _Meaning:
 def topics_in(
     table: Topic, joints: Sequence[str], actuated: Sequence[str], driven: Sequence[str], alone: bool
 ) -> list[Topic]:
-    """Joint states and joint commands that a table holds, each as a topic with its columns.
+    """Joint states, joint commands and poses that a table holds, each as a topic with its columns.
 
     Args:
         table: The table: its columns are its entries.
@@ -74,7 +78,26 @@ def topics_in(
     if commands is None and states is not None and alone and driven and "effort" in states.columns:
         effort = {"effort": states.columns["effort"]}
         commands = replace(states, name=f"{head} command", quantities=("effort",), columns=effort)
-    return [topic for topic in (states, commands) if topic is not None]
+    return [topic for topic in (states, commands) if topic is not None] + _poses(head, table)
+
+
+def _poses(head: str, table: Topic) -> list[Topic]:
+    """Poses that have a column for each axis, and for each number of their quaternion."""
+    found: dict[str, dict[str, dict[str, str]]] = {}
+    for column in table.entries:
+        if match := _POSE.fullmatch(column):
+            whose, what, axis = (part or "" for part in match.groups())
+            quantity = "orientation" if what.lower()[:1] in ("q", "r", "o") and what else "position"
+            found.setdefault(whose, {}).setdefault(quantity, {})[axis.lower()] = column
+    topics = []
+    for whose, axes in found.items():
+        columns = {"position": "xyz", "orientation": "wxyz"}
+        if all(set(wanted) <= axes.get(quantity, {}).keys() for quantity, wanted in columns.items()):
+            own = {q: tuple(axes[q][axis] for axis in wanted) for q, wanted in columns.items()}
+            name, kind = f"{head} {whose} pose".replace("  ", " "), "table/msg/PoseStamped"
+            entries = (whose,) if whose else ()
+            topics.append(Topic(name, kind, table.rate, entries, tuple(own), own, table.name))
+    return topics
 
 
 def with_columns(guess: Guess, topics: Sequence[Topic], alone: bool) -> None:
@@ -87,12 +110,12 @@ def with_columns(guess: Guess, topics: Sequence[Topic], alone: bool) -> None:
     wanted = guess.noise or {entry.get("quantity", topic.quantities[0])}
     place = {entry: i for i, entry in enumerate(topic.entries)}
     columns = {
-        quantity: [topic.columns[quantity][place[name]] for name in logged]
+        quantity: [topic.columns[quantity][place[name]] for name in logged] or [*topic.columns[quantity]]
         for quantity in topic.quantities
         if quantity in wanted
     }
     rest = {key: value for key, value in entry.items() if key not in ("topic", "type", "quantity")}
-    if isinstance(names, dict):
+    if names and isinstance(names, dict):
         rest["actuators" if "actuators" in entry else "joints"] = list(names)
     taken = "; ".join(f"{quantity} from {', '.join(names)}" for quantity, names in columns.items())
     guess.why = f"{taken}: judged by the names of the columns"

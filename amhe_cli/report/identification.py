@@ -50,7 +50,7 @@ STYLES = {
 }
 
 #: What a table says of conditional values, and the columns that it leaves out, from wide to narrow terminals.
-_NARROWER = ((True, ()), (False, ()), (False, ("prior",)), (False, ("prior", "shrinkage")))
+_NARROWER = ((True, ()), (False, ()), (False, ("shrinkage",)))
 
 #: Fields of a parameter in result.json, in its order.
 _PARAMETER_FIELDS = (

@@ -78,3 +78,29 @@ def test_the_example_reads_the_log_in_the_order_of_the_motors(
 )
 def test_paths_by_their_names(paths: dict[str, int | None], found: dict[str, str]) -> None:
     assert joint_paths(paths, 2) == found
+
+
+@pytest.mark.parametrize(
+    "columns",
+    ["px py pz qw qx qy qz", "cube_x cube_y cube_z cube_qx cube_qy cube_qz cube_qw"],
+    ids=["bare", "named"],
+)
+def test_columns_of_a_pose_are_those_of_the_free_body(columns: str, tmp_path: Path) -> None:
+    body = "<body name='cube'><freejoint/><geom size='.1' mass='1'/></body>"
+    (tmp_path / "cube.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    time, names = np.arange(0.0, 1.0, 0.01), columns.split()
+    values = {name: np.sin(time + i) for i, name in enumerate(names)}
+    turn = [name for name in names if "q" in name]
+    length = np.sqrt(sum(values[name] ** 2 for name in turn))
+    values |= {name: values[name] / length for name in turn}
+    rows = np.column_stack([time, *(values[name] for name in names)])
+    log = tmp_path / "log.csv"
+    np.savetxt(log, rows, delimiter=",", header="t," + ",".join(names), comments="")
+
+    init_system(tmp_path / "cube.xml", [log], tmp_path / "cube")
+
+    signal = yaml.safe_load((tmp_path / "cube" / "system.yaml").read_text())["signals"]["cube"]
+    assert signal["body"] == "cube"
+    found = [*signal["columns"]["position"], *signal["columns"]["orientation"]]
+    assert [name[-1] for name in found] == list("xyzwxyz")
+    assert set(found) == set(names)

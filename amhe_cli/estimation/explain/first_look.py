@@ -34,7 +34,7 @@ def first_look(system: System, log: Log, columns: Sequence[str], rng: np.random.
     read = [name for signal in system.signals for names in signal.columns.values() for name in names]
     read = [name.split("[")[0].split("{")[0] + "*" * ("{" in name) for name in read]  # patterns, roughly
     left = [name for name in columns if not any(fnmatchcase(name.split("[")[0], one) for one in read)]
-    left = [name for name in left if read and not name.lower().startswith(("time", "stamp"))]
+    left = [name for name in left if read and not name.lower().startswith(("time", "stamp")) and name != "t"]
     if idle:
         yield f"{', '.join(idle)}: no command in the log; held at 0, it acts"
     if left:
