@@ -129,6 +129,18 @@ def test_a_model_whose_elements_multiply(name: str, tmp_path: Path) -> None:
     assert one_line(error.value, inner)
 
 
+def test_a_name_that_is_no_utf8_is_refused_and_a_comment_may_be_anything(tmp_path: Path) -> None:
+    path = tmp_path / "scene.xml"
+    for names, comment in ((b"a", b"\xe9t\xe9"), (b"\xff\xfe", b"")):
+        body = b'<body><joint name="' + names + b'"/><geom size="1"/></body>'
+        path.write_bytes(b"<mujoco><!--" + comment + b"--><worldbody>" + body + b"</worldbody></mujoco>")
+        if comment:
+            assert compiled(read_spec(path)).joint(0).name == "a"
+        else:
+            with pytest.raises(ConfigError, match="no text in UTF-8"):
+                read_spec(path)
+
+
 def test_pipes_in_a_model_are_not_waited_for(tmp_path: Path) -> None:
     path = tmp_path / "scene.xml"
     (tmp_path / "meshes").mkdir()

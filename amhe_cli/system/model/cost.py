@@ -40,8 +40,10 @@ def check_model(path: Path) -> None:
         if file in counts or not file.is_file():
             continue
         try:
-            text = file.read_text(encoding="utf-8", errors="replace")
-            root = ElementTree.fromstring(_COMMENT.sub("", text))
+            text = _COMMENT.sub("", file.read_text(encoding="utf-8", errors="replace"))
+            if "\ufffd" in text:  # MuJoCo would read names that Python cannot
+                raise ConfigError(f"{file}: no text in UTF-8; save it in that encoding")
+            root = ElementTree.fromstring(text)
         except ElementTree.ParseError as error:
             raise ConfigError(
                 f"MuJoCo cannot read {file.name!r}: it is no well-formed XML: {error}"
