@@ -7,6 +7,8 @@ a payload cannot be detected.
 
 from __future__ import annotations
 
+import struct
+import zlib
 from collections.abc import Collection, Iterator
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
@@ -14,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Channel as ChannelRecord
-from mcap.records import Metadata, Schema
+from mcap.records import ChunkIndex, Metadata, Schema, Statistics
 from numpy.typing import NDArray
 
 from amhe_cli.core.arrays import IntArray
@@ -23,15 +25,14 @@ from amhe_cli.logs.containers.mcap_index import MAGIC as MAGIC
 from amhe_cli.logs.containers.mcap_index import (
     PARSE_ERRORS,
     RECORD,
-    Contents,
     Piece,
-    contents,
     indexed,
     is_chain,
     span_ns,
+    split,
     stream,
     unfolded,
-)
+)  # fmt: skip
 from amhe_cli.logs.containers.raw import Batch, Connection, DefinitionFormat, messages, normal_type
 
 #: A message record up to its payload.
@@ -39,6 +40,7 @@ _MESSAGE = np.dtype(
     [("opcode", "u1"), ("size", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log_ns", "<u8"),
      ("publish_ns", "<u8")]
 )  # fmt: skip
+_FOOTER = struct.Struct("<QQI")
 _BATCH_BYTES = 2**25
 _FORMATS: dict[str, DefinitionFormat] = {"ros2msg": "ros2msg", "ros2idl": "ros2idl", "ros1msg": "ros1msg"}
 
@@ -137,7 +139,14 @@ class McapMessages:
 
 
 class McapFile(McapMessages):
-    """An MCAP file; see LogFile."""
+    """An MCAP file; see LogFile.
+
+    Chunks are found in file order and, where the file was closed, through its summary as well, so that damage
+    between chunks costs one chunk and not the rest of the file.
+
+    Raises:
+        ValueError: Its messages are outside of chunks and the checksum over them is wrong.
+    """
 
     format = "MCAP"
 
@@ -146,54 +155,115 @@ class McapFile(McapMessages):
         with path.open("rb") as file:
             self._data = mmap(file.fileno(), 0, access=ACCESS_READ)
         self.metadata: dict[str, str] = {}
+        self._bodies: list[bytes] = []  # of metadata records
         self._broken_chunks = 0
-        self._found = contents(self._data)
-        for opcode, body in self._found.declarations:
-            self._declare(opcode, body)
+        self._expected: int | None = None
+        self._whole, self._summarised, self._intact = False, False, True
+        self._closed = self._data[-len(MAGIC) :] == MAGIC
+        self._pieces = self._walk()
 
     def batches(self, topics: Collection[str] | None) -> Iterator[Batch]:
         """Yield the messages of the named topics (None: all), chunk by chunk."""
-        found, unfolder = self._found, Unfolder(len(self._data))
-        self.problems += found.problems
-        for piece in found.pieces:
+        unfolder = Unfolder(len(self._data))
+        for piece in self._pieces:
             if not piece.is_chunk:
                 yield from self.records(self._data, piece.start, piece.stop, topics)
             elif (data := self._unfold(piece, unfolder)) is not None:
-                yield from self._chunk(data, indexed(self._data, piece, len(data)), topics)
-        self._note_metadata(found)
-        self._conclude(found)
-
-    def read_metadata(self) -> dict[str, str]:
-        """The record named 'amhe', without decoding any message."""
-        found, unfolder = self._found, Unfolder(len(self._data))
-        for piece in found.pieces if not found.intact else ():  # is a chunk to blame?
-            if piece.is_chunk and self._unfold(piece, unfolder) is None:
-                break
-        self._note_metadata(found)
-        return self.metadata
-
-    def _conclude(self, found: Contents) -> None:
-        if not found.whole and not found.summarised:
+                index, buffer = indexed(self._data, piece, len(data)), np.frombuffer(data, np.uint8)
+                if buffer.size <= _BATCH_BYTES and is_chain(buffer, index):  # as it mostly is
+                    yield from self._flush(buffer, index.astype(np.int64), topics)
+                else:
+                    yield from self.records(data, 0, len(data), topics)
+        self._note_metadata()
+        if not self._whole and not self._summarised:
             seconds = (self._latest_ns - (self._first_ns or 0)) / 1e9
             self.problems.append(
                 f"recovered {messages(self._read)} up to t = {seconds:.1f} s; the file was not closed "
                 "(recorder crashed or copy incomplete)"
             )
-        elif not found.closed:
+        elif not self._closed:
             self.problems.append(
                 f"the end of the file is missing, but its {messages(self._read)} are all there"
             )
-        elif found.expected is not None and found.expected > self._read:
+        elif self._expected is not None and self._expected > self._read:
             self.problems.append(
-                f"{found.expected - self._read} of {messages(found.expected)} lost to damage"
+                f"{self._expected - self._read} of {messages(self._expected)} lost to damage"
             )
 
-    def _note_metadata(self, found: Contents) -> None:
+    def read_metadata(self) -> dict[str, str]:
+        """The record named 'amhe', without decoding any message."""
+        unfolder = Unfolder(len(self._data))
+        for piece in self._pieces if not self._intact else ():  # is a chunk to blame?
+            if piece.is_chunk and self._unfold(piece, unfolder) is None:
+                break
+        self._note_metadata()
+        return self.metadata
+
+    def _walk(self) -> list[Piece]:
+        """Chunks and runs of other records, in file order, without unfolding them."""
+        data = self._data
+        chunks = {offset: Piece(offset + 9, stop, True) for offset, stop in self._summary().items()}
+        loose: list[Piece] = []
+        try:
+            for opcode, start, stop in split(data, len(MAGIC), len(data)):
+                if opcode == Opcode.CHUNK:
+                    chunks[start - 9] = Piece(start, stop, True)
+                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+                    begin = loose.pop().start if loose and loose[-1].stop == start - 9 else start - 9
+                    loose.append(Piece(begin, stop, False))
+                elif opcode == Opcode.METADATA:
+                    self._bodies.append(data[start:stop])
+                elif opcode == Opcode.DATA_END:
+                    self._whole = True
+                    (crc,) = struct.unpack_from("<I", data, start)
+                    self._intact = not crc or zlib.crc32(memoryview(data)[: start - 9]) == crc
+                    break
+        except PARSE_ERRORS as error:
+            self.problems.append(f"the file is damaged or cut off: {error}")
+        if chunks and not self._whole:
+            loose = []  # the walk went astray: these records may be anything
+        if loose and not self._intact:
+            raise ValueError("its checksum is wrong and it has no chunks: no message in it can be trusted")
+        return sorted([*chunks.values(), *loose])
+
+    def _summary(self) -> dict[int, int]:
+        """Take over the content of the summary at the end; returns start and end of each chunk record."""
+        data, declared = self._data, list[tuple[int, bytes]]()
+        at = len(data) - len(MAGIC) - _FOOTER.size - 9
+        if not self._closed or at < len(MAGIC):
+            return {}
+        opcode, size = RECORD.unpack_from(data, at)
+        start, _, crc = _FOOTER.unpack_from(data, at + 9)
+        if opcode == Opcode.FOOTER and size == _FOOTER.size and start == 0:
+            return {}
+        chunks: dict[int, int] = {}
+        try:
+            if opcode != Opcode.FOOTER or size != _FOOTER.size or start > at:
+                raise ValueError
+            if crc and zlib.crc32(data[start : at + 9 + _FOOTER.size - 4]) != crc:
+                raise ValueError
+            for opcode, first, stop in split(data, start, at):
+                if opcode == Opcode.CHUNK_INDEX:
+                    index = ChunkIndex.read(stream(data[first:stop]))
+                    chunks[index.chunk_start_offset] = index.chunk_start_offset + index.chunk_length
+                elif opcode == Opcode.STATISTICS:
+                    self._expected = Statistics.read(stream(data[first:stop])).message_count
+                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    declared.append((opcode, data[first:stop]))
+            self._summarised = True
+        except PARSE_ERRORS:
+            self.problems.append("the summary at the end of the file is damaged and not used")
+            chunks = {}
+        for opcode, body in declared:
+            self._declare(opcode, body)
+        return chunks
+
+    def _note_metadata(self) -> None:
         """Take the metadata, unless the checksum over the file is wrong and no chunk is to blame."""
-        if found.metadata and not found.intact and not self._broken_chunks:
+        if self._bodies and not self._intact and not self._broken_chunks:
             self.problems.append("the file's checksum is wrong: its metadata record is not used")
             return
-        for body in found.metadata:
+        for body in self._bodies:
             try:
                 record = Metadata.read(stream(body))
             except PARSE_ERRORS:
@@ -217,13 +287,3 @@ class McapFile(McapMessages):
             )
             self.problems.append(f"a chunk at byte {chunk.start - 9}{when} is lost: {error}")
             return None
-
-    def _chunk(
-        self, data: bytes, index: NDArray[np.uint64], topics: Collection[str] | None
-    ) -> Iterator[Batch]:
-        """The messages of a chunk: by its index where that is right, as it mostly is, else by a walk."""
-        buffer = np.frombuffer(data, np.uint8)
-        if buffer.size <= _BATCH_BYTES and is_chain(buffer, index):
-            yield from self._flush(buffer, index.astype(np.int64), topics)
-        else:
-            yield from self.records(data, 0, len(data), topics)

@@ -1,15 +1,10 @@
-"""Where the pieces of an MCAP file are, and whether they are intact.
-
-Chunks are found in file order and, where the file was closed, through its summary as well, so that damage
-between chunks costs one chunk and not the rest of the file.
-"""
+"""Records and chunks of an MCAP file, and whether they are intact."""
 
 from __future__ import annotations
 
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from io import BytesIO
 from mmap import mmap
 from typing import NamedTuple
@@ -18,7 +13,6 @@ import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
-from mcap.records import ChunkIndex, Statistics
 from numpy.typing import NDArray
 
 from amhe_cli.logs.containers.compression import Unfolder
@@ -28,7 +22,6 @@ RECORD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQI")
 #: Bytes of a message before its payload, and of an index before its stamps and places.
 _STAMPED, _INDEXED = 22, 6
-_FOOTER = struct.Struct("<QQI")
 #: What parsing a damaged record raises.
 PARSE_ERRORS = (ValueError, struct.error, EndOfFile)
 
@@ -39,68 +32,6 @@ class Piece(NamedTuple):
     start: int
     stop: int
     is_chunk: bool
-
-
-@dataclass(slots=True)
-class Contents:
-    """What a walk over the file finds.
-
-    Args:
-        pieces: Pieces in file order.
-        metadata: Bodies of the metadata records.
-        declarations: (opcode, body) of the schemas and channels that the summary repeats.
-        expected: Number of messages, where the file gives it.
-        whole: Whether the data section was walked to its end.
-        closed: Whether the file ends as a closed file does.
-        summarised: Whether there is an intact summary.
-        intact: False if a checksum over the whole data section is wrong.
-        problems: What is damaged, in words.
-    """
-
-    pieces: list[Piece] = field(default_factory=list)
-    metadata: list[bytes] = field(default_factory=list)
-    declarations: list[tuple[int, bytes]] = field(default_factory=list)
-    expected: int | None = None
-    whole: bool = False
-    closed: bool = False
-    summarised: bool = False
-    intact: bool = True
-    problems: list[str] = field(default_factory=list)
-
-
-def contents(data: mmap) -> Contents:
-    """Walk over a file without unfolding its chunks.
-
-    Raises:
-        ValueError: If its messages are outside of chunks and the checksum over them is wrong.
-    """
-    found = Contents(closed=data[-len(MAGIC) :] == MAGIC)
-    indexed = _summary(data, found)
-    chunks: dict[int, Piece] = {}
-    loose: list[Piece] = []
-    try:
-        for opcode, start, stop in _split(data, len(MAGIC), len(data)):
-            if opcode == Opcode.CHUNK:
-                chunks[start - 9] = Piece(start, stop, True)
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
-                _extend(loose, start - 9, stop)
-            elif opcode == Opcode.METADATA:
-                found.metadata.append(data[start:stop])
-            elif opcode == Opcode.DATA_END:
-                found.whole = True
-                (crc,) = struct.unpack_from("<I", data, start)
-                found.intact = not crc or zlib.crc32(memoryview(data)[: start - 9]) == crc
-                break
-    except PARSE_ERRORS as error:
-        found.problems.append(f"the file is damaged or cut off: {error}")
-    for offset, stop in indexed.items():
-        chunks.setdefault(offset, Piece(offset + 9, stop, True))
-    if chunks and not found.whole:
-        loose = []  # the walk went astray: these records may be anything
-    if loose and not found.intact:
-        raise ValueError("its checksum is wrong and it has no chunks: no message in it can be trusted")
-    found.pieces = sorted([*chunks.values(), *loose])
-    return found
 
 
 def unfolded(data: mmap | bytes, chunk: Piece, unfolder: Unfolder) -> bytes:
@@ -126,7 +57,7 @@ def indexed(data: mmap, chunk: Piece, size: int) -> NDArray[np.uint64]:
     """
     found, left = [np.empty(0, dtype=np.uint64)], size // (RECORD.size + _STAMPED)
     try:
-        for opcode, start, stop in _split(data, chunk.stop, len(data)):
+        for opcode, start, stop in split(data, chunk.stop, len(data)):
             left -= max(1, (stop - start) // 16)
             if opcode != Opcode.MESSAGE_INDEX or left < 0:
                 break
@@ -189,44 +120,7 @@ def stream(body: bytes) -> ReadDataStream:
     return ReadDataStream(BytesIO(body))
 
 
-def _summary(data: mmap, found: Contents) -> dict[int, int]:
-    """Store the content of the summary at the end; return start and end of each chunk record."""
-    at = len(data) - len(MAGIC) - _FOOTER.size - 9
-    if not found.closed or at < len(MAGIC):
-        return {}
-    opcode, size = RECORD.unpack_from(data, at)
-    start, _, crc = _FOOTER.unpack_from(data, at + 9)
-    if opcode == Opcode.FOOTER and size == _FOOTER.size and start == 0:
-        return {}
-    damaged = opcode != Opcode.FOOTER or size != _FOOTER.size or start > at
-    if damaged or (crc and zlib.crc32(data[start : at + 9 + _FOOTER.size - 4]) != crc):
-        found.problems.append("the summary at the end of the file is damaged and not used")
-        return {}
-    chunks: dict[int, int] = {}
-    try:
-        for opcode, first, stop in _split(data, start, at):
-            if opcode == Opcode.CHUNK_INDEX:
-                index = ChunkIndex.read(stream(data[first:stop]))
-                chunks[index.chunk_start_offset] = index.chunk_start_offset + index.chunk_length
-            elif opcode == Opcode.STATISTICS:
-                found.expected = Statistics.read(stream(data[first:stop])).message_count
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                found.declarations.append((opcode, data[first:stop]))
-    except PARSE_ERRORS:
-        found.problems.append("the summary at the end of the file is damaged and not used")
-        return {}
-    found.summarised = True
-    return chunks
-
-
-def _extend(runs: list[Piece], start: int, stop: int) -> None:
-    """Join neighbouring loose records into one run."""
-    if runs and runs[-1].stop == start:
-        start = runs.pop().start
-    runs.append(Piece(start, stop, False))
-
-
-def _split(data: mmap, start: int, stop: int) -> Iterator[tuple[int, int, int]]:
+def split(data: mmap, start: int, stop: int) -> Iterator[tuple[int, int, int]]:
     """Opcode, start and end of each record's body.
 
     Raises:
