@@ -192,9 +192,8 @@ def timeline(samples: SignalSamples, forced: Stamp = "auto") -> Timeline:
     if notes:
         notes.append(f"{best.clock} stamps are used")
     if abs(best.lag) > _DISAGREE:
-        notes.append(
-            f"its {best.clock} stamps are {_words(best.lag, 'behind', 'ahead of')} the recorder's clock"
-        )
+        way = "behind" if best.lag > 0 else "ahead of"
+        notes.append(f"its {best.clock} stamps are {abs(best.lag):.6g} s {way} the recorder's clock")
     return Timeline(best.clock, best.stamps_ns, best.kept, best.lag, (*notes, *best.notes))
 
 
@@ -341,7 +340,3 @@ def offset_words(lags: Mapping[str, float]) -> list[str]:
         "(judged by when the recorder got them)"
         for late, early, apart in _offset_pairs(lags)
     ]
-
-
-def _words(seconds: float, positive: str, negative: str) -> str:
-    return f"{abs(seconds):.6g} s {positive if seconds > 0 else negative}"

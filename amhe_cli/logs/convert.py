@@ -13,7 +13,7 @@ from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.files import filling
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Measured, Signal, remapped
-from amhe_cli.logs.containers.folder import StoredLog, open_log
+from amhe_cli.logs.containers.folder import open_log
 from amhe_cli.logs.containers.raw import Batch, Connection, readable
 from amhe_cli.logs.containers.table_file import clock_among
 from amhe_cli.logs.containers.table_writer import Columns, joined, write_csv, write_npz
@@ -69,7 +69,6 @@ def convert(
     signals = None if system is None else remapped(system.signals, topics or {})
     settings = LogSettings() if system is None else system.settings.logs
     folder = None if msg_path is None else Path(msg_path)
-    definitions = Definitions(folder)
     watch = _counter(progress)
     with readable(path):
         log = replace(open_log(path), watch=watch)
@@ -80,12 +79,19 @@ def convert(
             wanted = [_of_table(one) for one in tables]
         else:
             wanted = signals or _of_topics(survey(path, msg_path=folder, watch=watch))
-        tracks = _tracks(log, wanted, definitions, settings)
+        # a system's own offsets are left for those who read the result
+        tracks = read_tracks(log, [replace(one, offset=0.0) for one in wanted], Definitions(folder), settings)
     parts = _columns(tracks, plain=signals is None)
     start_ns = min(int(part.stamps_ns[0]) for group in parts.values() for part in group)
     out.parent.mkdir(parents=True, exist_ok=True)
     if not out.suffix:
-        _to_folder(out, parts, metadata, start_ns)
+        files: dict[str, str] = {}
+        for name in parts:
+            if (other := files.setdefault(table_name(name), name)) != name:
+                raise ConfigError(f"{out}: topics {other!r} and {name!r} would share a file; write .csv")
+        with filling(out) as filled:
+            for name, group in parts.items():
+                write_csv(filled / f"{table_name(name)}.csv", joined(group), metadata, start_ns)
         return
     as_it_was = only_tables and len(tables) == 1
     named = [
@@ -95,19 +101,6 @@ def convert(
     ]
     write = write_npz if out.suffix == ".npz" else write_csv
     write(out, joined(named), metadata, start_ns)
-
-
-def _to_folder(
-    out: Path, parts: Mapping[str, Sequence[Columns]], metadata: Mapping[str, str], start_ns: int
-) -> None:
-    """Write a CSV file for each topic or signal."""
-    files: dict[str, str] = {}
-    for name in parts:
-        if (other := files.setdefault(table_name(name), name)) != name:
-            raise ConfigError(f"{out}: topics {other!r} and {name!r} would share a file; write .csv")
-    with filling(out) as folder:
-        for name, group in parts.items():
-            write_csv(folder / f"{table_name(name)}.csv", joined(group), metadata, start_ns)
 
 
 def check_out(out: Path, force: bool) -> None:
@@ -138,14 +131,6 @@ def _counter(progress: Progress | None) -> Callable[[Batch], None]:
             progress(count)
 
     return watch
-
-
-def _tracks(
-    log: StoredLog, signals: Sequence[Signal], definitions: Definitions, settings: LogSettings
-) -> list[SignalTrack]:
-    """Samples of the signals on one clock; a system's own offsets are left for those who read the result."""
-    plain = [replace(signal, offset=0.0) for signal in signals]
-    return read_tracks(log, plain, definitions, settings)
 
 
 def _of_table(connection: Connection) -> Signal:

@@ -121,22 +121,19 @@ def inspect_log(
         except LogError as error:
             return str(error).removeprefix(f"{path}: ")
 
-    checks = tuple(_check(signal, read(signal)) for signal in system.signals)
+    checks = []
+    for signal in system.signals:
+        alone = read(signal)
+        problem = alone if isinstance(alone, str) else None  # as it would stop `identify`
+        valid = alone.usable(tuple(alone.series)).mean() if isinstance(alone, Log) and alone.steps else 0.0
+        checks.append(SignalCheck(signal, problem, float(valid)))
     if any(check.problem for check in checks):
-        return Inspection(found, system.name, checks)
+        return Inspection(found, system.name, tuple(checks))
     log = read(*system.signals)
     if isinstance(log, str):
-        return Inspection(found, system.name, checks, problem=log)
+        return Inspection(found, system.name, tuple(checks), problem=log)
     warn_of(log, system)
-    return Inspection(found, system.name, checks, log.duration, log=log)
-
-
-def _check(signal: Signal, alone: Log | str) -> SignalCheck:
-    """Read one signal alone; errors are those that would stop `identify`, in the same words."""
-    if isinstance(alone, str):
-        return SignalCheck(signal, alone, 0.0)
-    valid = alone.usable(tuple(alone.series))
-    return SignalCheck(signal, None, float(valid.mean()) if valid.size else 0.0)
+    return Inspection(found, system.name, tuple(checks), log.duration, log=log)
 
 
 def read_signals(

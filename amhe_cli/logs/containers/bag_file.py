@@ -7,6 +7,7 @@ compared with the index that follows its chunk; a flipped bit inside a plain pay
 from __future__ import annotations
 
 import mmap
+import re
 import struct
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -128,7 +129,7 @@ class BagFile:
                 return
             inner = _fields(bytes(data[record.start : record.stop]))
             connection = Connection(
-                _normal_topic(record.fields[b"topic"].decode()),
+                re.sub("/+", "/", record.fields[b"topic"].decode()).rstrip("/"),
                 normal_type(inner[b"type"].decode()),
                 "ros1",
                 inner[b"message_definition"].decode("utf-8", "replace"),
@@ -152,7 +153,10 @@ class BagFile:
         except (ValueError, KeyError, struct.error) as error:
             self.problems.append(f"a chunk at byte {record.start} is lost: {error}")
             return b"", []
-        return data, self._checked(self._messages(data), index)
+        rows = self._messages(data)
+        if index is not None:  # what contradicts it is damaged
+            rows = [row for row in rows if index.get(row.connection, {}).get(row.offset) == row.time_ns]
+        return data, rows
 
     def _messages(self, data: bytes) -> list[_Row]:
         rows: list[_Row] = []
@@ -185,12 +189,6 @@ class BagFile:
             index.setdefault(number, {}).update(zip(entries[:, 2].tolist(), times.tolist(), strict=True))
             position = record.stop
         return position, index or None
-
-    def _checked(self, rows: list[_Row], index: dict[int, dict[int, int]] | None) -> list[_Row]:
-        """Leave out the messages whose connection, place or time contradict the chunk's index."""
-        if index is None:
-            return rows
-        return [row for row in rows if index.get(row.connection, {}).get(row.offset) == row.time_ns]
 
     def _emit(
         self, data: bytes | mmap.mmap, rows: list[_Row], topics: Collection[str] | None
@@ -255,9 +253,3 @@ def _message(record: _Record, start: int, offset: int) -> list[_Row]:
     except (KeyError, struct.error):
         return []
     return [_Row(offset, connection, seconds * _NS + nanoseconds, start, record.stop - start)]
-
-
-def _normal_topic(name: str) -> str:
-    """A topic's name without empty parts: '//tf/' is '/tf'."""
-    parts = [part for part in name.split("/") if part]
-    return ("/" if name.startswith("/") else "") + "/".join(parts)

@@ -143,29 +143,20 @@ def _open_file(path: Path) -> LogFile:
     if not head:
         raise LogError(f"{path}: the file is empty")
     if head.startswith(_ZSTD):
-        return _open_packed(path)
+        with NamedTemporaryFile(prefix="amhe-", suffix=path.stem) as unfolded:
+            unfold_file(path, unfolded.file)  # type: ignore[arg-type]
+            unfolded.flush()
+            # The readers keep the file open, so that its name may go away at once.
+            return _open_file(Path(unfolded.name))
     for magic, reader in _READERS:
         if head.startswith(magic):
             return reader(path)
     if any(magic.startswith(head) for magic, _ in _READERS):
         raise LogError(f"{path}: the file ends after {len(head)} bytes")
     raise LogError(
-        f"{path}: begins with {_shown(head)}, which is no log that is known: MCAP, rosbag2 .db3, ROS 1 .bag, "
-        "ULog, CSV, npz, parquet, HDF5; save its numbers as one of these"
+        f"{path}: begins with the bytes {head[:8].hex(' ')}, which is no log that is known: MCAP, rosbag2 "
+        ".db3, ROS 1 .bag, ULog, CSV, npz, parquet, HDF5; save its numbers as one of these"
     )
-
-
-def _shown(head: bytes) -> str:
-    """First bytes of a file, in hexadecimal digits."""
-    return f"the bytes {head[:8].hex(' ')}"
-
-
-def _open_packed(path: Path) -> LogFile:
-    with NamedTemporaryFile(prefix="amhe-", suffix=path.stem) as unfolded:
-        unfold_file(path, unfolded.file)  # type: ignore[arg-type]
-        unfolded.flush()
-        # The readers keep the file open, so that its name may go away at once.
-        return _open_file(Path(unfolded.name))
 
 
 def _open_bare_folder(path: Path) -> StoredLog:

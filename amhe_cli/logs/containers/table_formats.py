@@ -63,13 +63,8 @@ def open_tables(path: Path) -> list[TableFile]:
             dialect.comments,
         )  # fmt: skip
         return [TableFile(path, "TSV" if dialect.delimiter == b"\t" else "CSV", table)]
-    tables = {
-        "npz": _npz,
-        "parquet": _parquet,
-        "HDF5": _hdf5,
-        "ULog": _ulog,
-    }[format](path)
-    return [TableFile(path, format, table) for table in tables]
+    read = {"npz": _npz, "parquet": _parquet, "HDF5": _hdf5, "ULog": _ulog}[format]
+    return [TableFile(path, format, table) for table in read(path)]
 
 
 def _npz(path: Path) -> list[NumberTable]:
@@ -144,14 +139,9 @@ def _ulog(path: Path) -> list[NumberTable]:
     if log.dropouts:
         lost = sum(dropout.duration for dropout in log.dropouts) / 1e3
         problems.append(f"the recorder dropped messages {len(log.dropouts)} times, {lost:.2f} s in all")
-    found = [
-        in_memory(
-            path,
-            data.name + (f"_{data.multi_id}" if data.multi_id else ""),
-            _with_arrays(data.data),
-        )
-        for data in log.data_list
-    ]
+    names = [data.name + (f"_{data.multi_id}" if data.multi_id else "") for data in log.data_list]
+    arrays = [_with_arrays(data.data) for data in log.data_list]
+    found = [in_memory(path, *named) for named in zip(names, arrays, strict=True)]
     if not found:
         raise LogError(f"{path}: a ULog without data")
     return [replace(found[0], notes=tuple(problems)), *found[1:]]
@@ -216,12 +206,8 @@ def _with_arrays(data: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     for name, values in data.items():
         stem, _, index = name.rpartition("[") if name.endswith("]") else (name, "", "")
         arrays.setdefault(stem if index[:-1].isdecimal() else name, []).append(values)
-    return {
-        "timestamp [us]" if name == "timestamp" else name: parts[0]
-        if len(parts) == 1
-        else np.stack(parts, axis=1)
-        for name, parts in arrays.items()
-    }
+    whole = {name: np.stack(p, axis=1) if len(p) > 1 else p[0] for name, p in arrays.items()}
+    return {"timestamp [us]" if name == "timestamp" else name: array for name, array in whole.items()}
 
 
 def needed(path: Path, library: str, what: str, extra: str = "tables") -> None:
@@ -241,28 +227,22 @@ def in_memory(path: Path, name: str, arrays: Mapping[str, np.ndarray]) -> Number
     length = len(usable[clock])
     rest = [key for key in arrays if key not in usable or len(usable[key]) != length]
     kept = {key: array for key, array in usable.items() if key not in rest}
-    columns = tuple(_array_column(key, array) for key, array in kept.items())
+    kinds = {
+        key: "date" if a.dtype.kind == "M" else "array" * (a.ndim - 1) or "number" for key, a in kept.items()
+    }
+    columns = tuple(Column(key, kinds[key], a.shape[1] if a.ndim == 2 else 1) for key, a in kept.items())
 
     def rows(problems: list[str]) -> Iterator[FloatArray]:
         for start in range(0, length, _ROWS):
-            parts = [_floats(array[start : start + _ROWS]) for array in kept.values()]
-            yield np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
+            parts = (array[start : start + _ROWS] for array in kept.values())
+            numbers = [
+                p.astype("datetime64[ns]").astype(np.int64) if p.dtype.kind == "M" else p for p in parts
+            ]
+            yield np.concatenate([p.astype(np.float64).reshape(len(p), -1) for p in numbers], axis=1)
         if rest:
             problems.append(f"{listed(rest)} another length than {clock!r}, or no numbers: left out")
 
     return NumberTable(name, columns, rows)
-
-
-def _array_column(name: str, array: np.ndarray) -> Column:
-    if array.dtype.kind == "M":
-        return Column(name, "date")
-    return Column(name, "array", array.shape[1]) if array.ndim == 2 else Column(name, "number")
-
-
-def _floats(array: np.ndarray) -> FloatArray:
-    if array.dtype.kind == "M":
-        return array.astype("datetime64[ns]").astype(np.int64).astype(np.float64)
-    return array.astype(np.float64)
 
 
 def _stem(path: Path) -> str:
