@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from amhe_cli.core.arrays import FloatArray, sealed
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.files import write_whole
+from amhe_cli.core.mistakes import mistakes
 from amhe_cli.core.parameters import Described, phi_of, theta_of
 from amhe_cli.core.shown import Displayed
 from amhe_cli.core.statistics import Z90
@@ -292,8 +293,8 @@ def read_belief(path: Path, system: Described | None = None, belief_anyway: bool
     try:
         content = _File.model_validate(file.data)
     except ValidationError as error:
-        for mistake in error.errors(include_url=False):
-            file.problem(mistake["loc"], f"{_label(mistake['loc'])}: {mistake['msg'].lower()}")
+        for mistake in mistakes(error, _File, file.data, {}):
+            file.problem(*mistake)
         file.raise_problems()
         raise
     names = [entry.name for entry in content.parameters]
@@ -421,7 +422,3 @@ def _is_part(rows: list[list[float]], covariance: list[list[float]]) -> bool:
     if not np.allclose(part, part.T) or (np.abs(part) > (1.0 + _PART) * scale).any():
         return False
     return min(np.linalg.eigvalsh(matrix / scale).min() for matrix in (part, whole - part)) > -_PART
-
-
-def _label(place: Place) -> str:
-    return ".".join(str(part) for part in place) or "this file"

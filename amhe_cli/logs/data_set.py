@@ -10,8 +10,9 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from amhe_cli.core.each_log import mistakes_of
 from amhe_cli.core.errors import LogError, one_of
+from amhe_cli.core.mistakes import mistakes
 from amhe_cli.core.signals import Measured
-from amhe_cli.core.yaml_file import Place, YamlFile, at_place
+from amhe_cli.core.yaml_file import Place, YamlFile
 from amhe_cli.logs.containers.lerobot import episode_paths
 
 #: Endings of a data set file's name.
@@ -35,11 +36,7 @@ class _File(BaseModel):
 
 
 #: What would be valid, by key.
-_VALID = {
-    "log": "a path, relative to this file",
-    "from": "a time in seconds from the log's start",
-    "to": "a time in seconds from the log's start",
-    "held_out": "true or false",
+_EXAMPLES = {
     "known": "a mapping such as {gain: 0.2, load: 0.49}",
     "own": "a list of parameters",
     "topics": "a mapping from signals to topics",
@@ -88,8 +85,8 @@ def members(path: Path, system: Measured | None = None) -> list[Member]:
     try:
         content = _File.model_validate(file.data)
     except ValidationError as error:
-        for mistake in error.errors(include_url=False):
-            _note(file, mistake["type"], mistake["loc"])
+        for mistake in mistakes(error, _File, file.data, _EXAMPLES):
+            file.problem(*mistake)
         file.raise_problems()
         raise
     for number, entry in enumerate(content.logs):
@@ -113,19 +110,6 @@ def only_member(path: Path) -> Member:
     if len(found) > 1:
         raise LogError(f"{path} holds {len(found)} logs; name one, such as {found[0].path}")
     return found[0]
-
-
-def _note(file: YamlFile, kind: str, loc: Place) -> None:
-    """Note a mistake in the file's shape; the place may go on with names of types that were tried."""
-    place = loc[: 3 if loc[:1] == ("logs",) else 1]
-    key = str(place[-1]) if place and isinstance(place[-1], str) else "logs"
-    if kind == "extra_forbidden" and len(loc) == len(place):
-        known = ["logs"] if len(place) == 1 else [f.alias or name for name, f in _Entry.model_fields.items()]
-        file.problem(place, one_of("key", key, known), at_key=True)
-    elif kind == "missing":
-        file.problem(place, f"the key {key!r} is missing: {_VALID[key]}")
-    else:
-        file.problem(place, f"{key} is {at_place(file.data, place)!r}; {_VALID[key]} would be valid")
 
 
 def _mistakes(folder: Path, entry: _Entry, system: Measured | None) -> list[tuple[Place, str]]:

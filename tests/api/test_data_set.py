@@ -177,11 +177,11 @@ def test_mistakes_have_their_place(folder: Path, tmp_path: Path) -> None:
     ("text", "expected"),
     [
         ("logs: run.npz", "runs.yaml:1:7: logs is 'run.npz'; a list such as"),
-        ("log: [run.npz]", "runs.yaml:1:1: the key 'logs' is missing"),
+        ("log: [run.npz]", "runs.yaml:1:1: this file lacks the key 'logs'"),
         ("logs: [{log: run.npz, form: 2}]", "runs.yaml:1:23: no key 'form' (did you mean 'from'?)"),
-        ("logs: [{from: 2}]", "runs.yaml:1:8: the key 'log' is missing: a path, relative to this file"),
+        ("logs: [{from: 2}]", "runs.yaml:1:8: logs.0 lacks the key 'log'"),
         ("logs: [{log: run.npz, own: 3}]", "runs.yaml:1:28: own is 3; a list of parameters would be valid"),
-        ("logs: [{log: run.npz, known: {gain: x}}]", "known is {'gain': 'x'}; a mapping such as {gain: 0.2"),
+        ("logs: [{log: run.npz, known: {gain: x}}]", "gain is 'x'; a number (without quotes) would be valid"),
         ("logs: [{log: run.npz, held_out: 1}]", "held_out is 1; true or false would be valid"),
     ],
 )

@@ -69,7 +69,7 @@ def changed(file: Path, **changes: object) -> Path:
         ({"parameters__0__scale": "linear"}, "scale of load_mass is log"),
         ({"parameters__0__estimate": 99.0}, "between 0.0001 and 10 would be valid"),
         ({"parameters__0__estimate": 9e-5}, "between 0.0001 and 10 would be valid"),
-        ({"parameters__0__estimate": "heavy"}, "parameters.0.estimate"),
+        ({"parameters__0__estimate": "heavy"}, "estimate is 'heavy'; a number"),
         ({"covariance": [[1.0]]}, "4 x 4"),
         ({"covariance": np.diag([1.0, 1.0, 1.0, -1.0]).tolist()}, "positive definite"),
         ({"covariance": (1e308 * np.eye(4)).tolist()}, "an sd of 1e+154; at most 50 would be valid"),

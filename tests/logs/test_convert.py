@@ -5,10 +5,8 @@ from __future__ import annotations
 import errno
 import os
 import re
-import time
 from importlib import import_module
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +19,7 @@ from amhe_cli.core.signals import Signal
 from amhe_cli.logs import read_metadata, read_signals, survey
 from tests.logs.log_makers import ROS2, SIGNALS, motion, write_mcap, wrong_samples
 
-LOGS_PAGE = Path(__file__).parents[2] / "docs" / "logs.md"
+LOGS_PAGE = Path(__file__).parents[2] / "docs" / "your_log.md"
 
 
 @pytest.fixture
@@ -131,20 +129,17 @@ def test_the_recorder_in_the_docs_runs(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.chdir(tmp_path)
     section = LOGS_PAGE.read_text(encoding="utf-8").split("## Your own recorder")[1]
     block = re.findall(r"^```python\n(.*?)^```", section, re.M | re.S)[0]
-    assert len(block.splitlines()) <= 11
-    ticks = iter(range(100))
-    robot = SimpleNamespace(
-        running=lambda: next(ticks, None) is not None,
-        angles=lambda: [0.1], speeds=lambda: [0.2], targets=lambda: [0.3],
-    )  # fmt: skip
-    monkeypatch.setattr(time, "sleep", lambda seconds: None)
-    clock = iter(range(10**18, 2 * 10**18, 10**7))
-    monkeypatch.setattr(time, "time_ns", lambda: next(clock))
+    robot = [(10**18 + i * 10**7, [0.1, i], [0.2, 100.0], [0.3, 0.0]) for i in range(100)]
     exec(block, {"robot": robot})
-    log = amhe.read_log("run.mcap", amhe.System.load("pendulum"))
-    assert log["joints.position"].values[0] == [0.1]
-    assert log["joints.velocity"].values[0] == [0.2]
-    assert log["command.position"].values[0] == [0.3]
+    names = ("elbow", "shoulder")
+    signals = [
+        Signal("joints", "/joint_states", ("position", "velocity"), names=names),
+        Signal("command", "/joint_commands", ("position",), names=names, is_input=True),
+    ]
+    log = read_signals(Path("run.mcap"), signals, 0.01, LogSettings())
+    np.testing.assert_allclose(log["joints.position"].values, [(i, 0.1) for i in range(100)])
+    assert log["joints.velocity"].values[0].tolist() == [100.0, 0.2]
+    assert log["command.position"].values[0].tolist() == [0.0, 0.3]
 
 
 def test_a_topic_names_no_odd_file(tmp_path: Path) -> None:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import types
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import cache
-from typing import Annotated, Any, Literal, Protocol, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Protocol
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, model_validator
 
 from amhe_cli.core.errors import one_of
+from amhe_cli.core.mistakes import mistakes
 from amhe_cli.core.settings import Settings
 from amhe_cli.core.signals import QUANTITIES
 from amhe_cli.core.units import FACTORS
-from amhe_cli.core.yaml_file import Place, at_place
+from amhe_cli.core.yaml_file import Place
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
@@ -172,7 +172,7 @@ class SystemEntry(_Entry):
         """Settings of the robot are checked where the robot is known: here they are left out."""
         if not isinstance(data, dict) or not isinstance(data.get("settings"), Mapping):
             return data
-        others = set(robot_groups(data)) - set(keys_at(cls, ("settings",)) or ())
+        others = set(robot_groups(data)) - set(cls.model_fields["settings"].annotation.model_fields)
         general = {key: value for key, value in data["settings"].items() if key not in others}
         return data | {"settings": general}
 
@@ -188,6 +188,20 @@ class _Remaining(SystemEntry):
 
     parameters: dict[Name, ParameterEntry] = Field(default_factory=dict)
     signals: dict[Name, SignalEntry] = Field(default_factory=dict)
+
+
+#: Keys whose shape is best explained by an example.
+_EXAMPLES = {
+    "noise": "a mapping such as {position: 0.002}",
+    "columns": "a mapping such as {position: [q1, q2]} or {position: 'q*'}",
+    "fields": "a mapping such as {position: ['motor[0].q', 'motor[1].q']}",
+    "bounds": "[lower, upper]",
+    "frame": "world, body, or [x, y, z, roll, pitch, yaw]",
+    "scale": "a number above 0, or a mapping such as {force: 1.02}",
+    "bias": "a mapping such as {force: [0.1, 0, 0]}",
+    "active": "times such as [[0.5, 3.0]], or a signal and its value such as {torque_on: 1}",
+    "length": "[shortest, longest]",
+}
 
 
 class Description(Protocol):
@@ -215,17 +229,14 @@ def validated(file: Description, schema: type[Settings] = Settings) -> SystemEnt
         What remains without the wrong entries, so that its names can still be checked against the
         model; None where too little remains.
     """
+    whole = with_settings(SystemEntry, schema)
     try:
-        return with_settings(SystemEntry, schema).model_validate(file.data)
+        return whole.model_validate(file.data)
     except ValidationError as error:
-        mistakes = error.errors(include_url=False)
+        found = [*mistakes(error, whole, file.data, _EXAMPLES)]
     remaining = {k: dict(v) if isinstance(v, Mapping) else v for k, v in file.data.items()}
-    by_place: dict[Place, list[Any]] = {}
-    for mistake in mistakes:
-        by_place.setdefault(tuple(_real(file.data, mistake["loc"])), []).append(mistake)
-    for place, at_this_place in by_place.items():
-        unknown_key = at_this_place[0]["type"] == "extra_forbidden"
-        file.problem(place, _in_words(at_this_place, place, file.data, schema), at_key=unknown_key)
+    for place, text, at_key in found:
+        file.problem(place, text, at_key)
         group = remaining.get(str(place[0])) if place else None
         if len(place) > 1 and isinstance(group, dict):
             group.pop(place[1], None)
@@ -235,123 +246,3 @@ def validated(file: Description, schema: type[Settings] = Settings) -> SystemEnt
         return with_settings(_Remaining, schema).model_validate(remaining)
     except ValidationError:
         return None
-
-
-def keys_at(model: Any, place: Place) -> list[str] | None:
-    """Keys that a mapping at `place` may have; None where any key may stand."""
-    options = [model]
-    for part in place:
-        options = [inner for option in options for inner in _step(option, part)]
-    keys = [name for option in options if _is_model(option) for name in option.model_fields]
-    return keys or None
-
-
-def _step(annotation: Any, part: str | int) -> Iterator[Any]:
-    """Types of the member `part` of a type."""
-    for option in _options(annotation):
-        if _is_model(option) and part in option.model_fields:
-            yield from _options(option.model_fields[str(part)].annotation)
-        elif get_origin(option) in (dict, list):
-            yield from _options(get_args(option)[-1])
-
-
-def _options(annotation: Any) -> Iterator[Any]:
-    """Members of a union, without Annotated."""
-    origin = get_origin(annotation)
-    if origin is Annotated:
-        yield from _options(get_args(annotation)[0])
-    elif origin in (Union, types.UnionType):
-        for option in get_args(annotation):
-            yield from _options(option)
-    else:
-        yield annotation
-
-
-def _is_model(annotation: Any) -> bool:
-    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
-
-
-def _real(data: Any, place: Place) -> Iterator[str | int]:
-    """`place` without the names of union members that pydantic puts between real keys."""
-    walked: list[str | int] = []
-    for index, part in enumerate(place):
-        here = at_place(data, walked)
-        last = index == len(place) - 1
-        if isinstance(here, list):
-            exists = isinstance(part, int) and part < len(here)
-        else:
-            exists = isinstance(here, Mapping) and part in here
-        if exists or (last and isinstance(here, Mapping) and part != "[key]"):
-            walked.append(part)
-            yield part
-
-
-#: What would be valid, in place of pydantic's names for its types; `{}` is the limit.
-_VALID = {
-    "string_type": "a word",
-    "string_too_short": "a name",
-    "list_type": "a list",
-    "dict_type": "a mapping of names",
-    "model_type": "a mapping of keys to values",
-    "model_attributes_type": "a mapping of keys to values",
-    "tuple_type": "a list of two numbers",
-    "bool_type": "true or false",
-    "bool_parsing": "true or false",
-    "finite_number": "a finite number",
-    "int_from_float": "a whole number",
-    "greater_than": "a number above {}",
-    "greater_than_equal": "a number of at least {}",
-    "less_than": "a number below {}",
-    "too_short": "at least {} of them",
-    "too_long": "at most {} of them",
-}
-#: Keys whose shape is best explained by an example.
-_EXAMPLES = {
-    "noise": "a mapping such as {position: 0.002}",
-    "columns": "a mapping such as {position: [q1, q2]} or {position: 'q*'}",
-    "fields": "a mapping such as {position: ['motor[0].q', 'motor[1].q']}",
-    "bounds": "[lower, upper]",
-    "frame": "world, body, or [x, y, z, roll, pitch, yaw]",
-    "scale": "a number above 0, or a mapping such as {force: 1.02}",
-    "bias": "a mapping such as {force: [0.1, 0, 0]}",
-    "active": "times such as [[0.5, 3.0]], or a signal and its value such as {torque_on: 1}",
-    "length": "[shortest, longest]",
-}
-#: Names that pydantic has for a type's limit.
-_LIMITS = ("gt", "ge", "lt", "le", "min_length", "max_length")
-#: Mistakes of a shape, which an example explains best.
-_SHAPES = ("dict_type", "list_type", "tuple_type", "too_short", "too_long", "missing")
-
-
-def _in_words(mistakes: list[Any], place: Place, data: Any, schema: type[Settings]) -> str:
-    """What is wrong, and what would be valid; a union of types has one mistake for each member."""
-    kind, value = mistakes[0]["type"], at_place(data, place)
-    label = _label(place)
-    if kind == "extra_forbidden":
-        return one_of("key", str(place[-1]), keys_at(with_settings(SystemEntry, schema), place[:-1]) or [])
-    if label in _EXAMPLES and value is not None and any(mistake["type"] in _SHAPES for mistake in mistakes):
-        return f"{label} is {value!r}; {_EXAMPLES[label]} would be valid"
-    if kind == "missing":
-        return f"{'.'.join(map(str, place[:-1])) or 'this file'} lacks the key {str(place[-1])!r}"
-    if kind == "value_error":
-        message = str(mistakes[0]["ctx"]["error"])
-        return message if isinstance(value, Mapping) else f"{label} {message}"
-    if kind in ("float_type", "float_parsing", "int_type", "int_parsing"):
-        quoted = " (without quotes)" if isinstance(value, str) else ""
-        return f"{label} is {value!r}; a number{quoted} would be valid"
-    valid = " or ".join(dict.fromkeys(_valid(mistake) for mistake in mistakes))
-    return f"{label} is {'empty' if value in ([], {}, '') else repr(value)}; {valid} would be valid"
-
-
-def _label(place: Place) -> str:
-    """The user's name for the value at `place`: its key, with the index if it is in a list."""
-    if not place:
-        return "this file"
-    return str(place[-1]) if isinstance(place[-1], str) else f"{_label(place[:-1])}[{place[-1]}]"
-
-
-def _valid(mistake: Any) -> str:
-    limits = [value for key, value in mistake.get("ctx", {}).items() if key in _LIMITS]
-    if mistake["type"] not in _VALID:
-        return str(mistake["msg"]).removeprefix("Input should be ")
-    return _VALID[mistake["type"]].format(*(f"{limit:g}" for limit in limits))
