@@ -95,6 +95,15 @@ def test_what_makes_no_sense_is_refused(written: Write, signal: str, text: str) 
     assert text in line and "system.yaml:" in line, line
 
 
+def test_a_declared_zero_of_an_encoder_is_no_parameter_that_is_held(written: Write) -> None:
+    system = load(
+        written,
+        HIP + ", bias: {position: 0.03}}",
+        more="  c: {topic: /c, actuators: [hip_servo], quantity: position}\n",
+    )
+    assert list(system.edits.considered()) == []
+
+
 @pytest.mark.parametrize(
     ("target", "text"),
     [

@@ -113,8 +113,10 @@ class ModelEdits:
         """Held parameters that somebody measured: each with its value, what it sets in the model, and how."""
         measured: dict[Parameter, list[ScalarEdit]] = {}
         for edit in (*self._edits, *self._delays.edits):
+            if not isinstance(edit, ScalarEdit) or not edit.columns:
+                continue  # no number of the model, or a declared one without a parameter
             parameter = self._all.parameters[edit.columns[0]]
-            if isinstance(edit, ScalarEdit) and self.held.get(parameter.name, Held(0.0)).sd:
+            if self.held.get(parameter.name, Held(0.0)).sd:
                 measured.setdefault(parameter, []).append(edit)
         for parameter, edits in measured.items():
             cells = tuple(cells for edit in edits for cells in edit.written)
