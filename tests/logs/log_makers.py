@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from mcap.writer import CompressionType, Writer
 from rosbags import rosbag1, rosbag2
+from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
 from amhe_cli.core.log import Log
@@ -40,32 +41,34 @@ class Message:
     content: Any
 
 
-def make(store: Any, name: str, /, **fields: Any) -> Any:
-    return store.types[name](**fields)
+def make(store: Any, name: str, given: Any = (), /, **fields: Any) -> Any:
+    """A message of its fields by name, or all of them in order; nested, and zero or empty where left out."""
+    forms = store.fielddefs[name][1]
+    given = {field: one for (field, _), one in zip(forms, given, strict=False)} | fields
+    return store.types[name](**{field: _value(store, form, given.get(field)) for field, form in forms})
 
 
-def header(store: Any, stamp_ns: int, frame: str = "world", seq: int = 0) -> Any:
-    time = make(store, "builtin_interfaces/msg/Time", sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
-    extra = {"seq": seq} if store is ROS1 else {}
-    return make(store, "std_msgs/msg/Header", stamp=time, frame_id=frame, **extra)
+def _value(store: Any, form: Any, given: Any) -> Any:
+    kind, detail = form
+    if kind == Nodetype.NAME:
+        return make(store, detail, **given) if isinstance(given, dict) else make(store, detail, given or ())
+    if kind == Nodetype.BASE:
+        zero = "" if detail[0] == "string" else 0.0 if detail[0].startswith("float") else 0
+        return zero if given is None else type(zero)(given)
+    (inner, what), size = detail
+    if inner == Nodetype.NAME or what[0] == "string":
+        return [_value(store, (inner, what), one) for one in given or ()]
+    return np.array(np.zeros(size) if given is None else given, {"byte": "u1"}.get(what[0], what[0]))
 
 
-def vector(store: Any, xyz: Sequence[float], name: str = "Vector3") -> Any:
-    return make(store, f"geometry_msgs/msg/{name}", x=float(xyz[0]), y=float(xyz[1]), z=float(xyz[2]))
+def header(store: Any, stamp_ns: int, frame: str = "world") -> dict[str, Any]:
+    return {"stamp": divmod(stamp_ns, 10**9), "frame_id": frame}
 
 
-def quaternion(store: Any, wxyz: Sequence[float]) -> Any:
-    w, x, y, z = map(float, wxyz)
-    return make(store, "geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
-
-
-def pose(store: Any, xyz: Sequence[float], wxyz: Sequence[float]) -> Any:
-    return make(
-        store,
-        "geometry_msgs/msg/Pose",
-        position=vector(store, xyz, "Point"),
-        orientation=quaternion(store, wxyz),
-    )
+def posed(xyz: Sequence[float], wxyz: Sequence[float]) -> tuple[Any, ...]:
+    """A pose, or a transform: place, and rotation x, y, z, w."""
+    w, *xyzw = wxyz
+    return tuple(xyz), (*xyzw, w)
 
 
 def joint_state(
@@ -76,28 +79,13 @@ def joint_state(
     velocity: Sequence[float] = (),
     effort: Sequence[float] = (),
 ) -> Any:
-    arrays = {"position": position, "velocity": velocity, "effort": effort}
-    return make(
-        store,
-        JS,
-        header=header(store, stamp_ns),
-        name=list(names),
-        **{key: np.array(value, dtype=float) for key, value in arrays.items()},
-    )
+    return make(store, JS, (header(store, stamp_ns), names, position, velocity, effort))
 
 
 def odometry(store: Any, stamp_ns: int, p: Any, q: Any, v: Any, w: Any) -> Any:
     """v in the child frame, as ROS has it."""
-    g = "geometry_msgs/msg/"
-    twist = make(store, f"{g}Twist", linear=vector(store, v), angular=vector(store, w))
-    return make(
-        store,
-        ODOM,
-        header=header(store, stamp_ns),
-        child_frame_id="body",
-        pose=make(store, f"{g}PoseWithCovariance", pose=pose(store, p, q), covariance=np.zeros(36)),
-        twist=make(store, f"{g}TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
-    )
+    pose, twist = {"pose": posed(p, q)}, {"twist": (tuple(v), tuple(w))}
+    return make(store, ODOM, (header(store, stamp_ns), "body", pose, twist))
 
 
 def truth(t: np.ndarray) -> dict[str, np.ndarray]:

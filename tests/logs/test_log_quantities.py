@@ -33,10 +33,8 @@ from tests.logs.log_makers import (
     make,
     motion,
     odometry,
-    pose,
-    quaternion,
+    posed,
     truth,
-    vector,
     write_bag,
     write_mcap,
     write_rosbag2,
@@ -65,65 +63,42 @@ def stamped(store: Any, name: str, stamp: int, **fields: Any) -> Any:
 def zoo(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One log with every built-in type."""
     store = ROS1 if request.param == "bag" else ROS2
-    covariance = {"covariance": np.zeros(36)}
+    vectors, imu = ((1, 2, 3), (4, 5, 6)), "sensor_msgs/msg/Imu"
+    turn = posed((), TURN)[1]
 
-    def at(i: int) -> Any:
-        return pose(store, (i * DT, 2, 3), TURN)
+    def moved(i: int, s: int, child: str) -> dict[str, Any]:
+        """A TransformStamped."""
+        at = posed((i * DT, 2, 3), TURN)
+        return {"header": header(store, s), "child_frame_id": child, "transform": at}
 
-    def transform(i: int) -> Any:
-        return make(
-            store,
-            f"{g}Transform",
-            translation=vector(store, (i * DT, 2, 3)),
-            rotation=quaternion(store, TURN),
-        )
-
-    def transform_stamped(i: int, stamp: int, child: str) -> Any:
-        return stamped(store, f"{g}TransformStamped", stamp, child_frame_id=child, transform=transform(i))
-
-    twist = make(store, f"{g}Twist", linear=vector(store, (1, 2, 3)), angular=vector(store, (4, 5, 6)))
-    wrench = make(store, f"{g}Wrench", force=vector(store, (1, 2, 3)), torque=vector(store, (4, 5, 6)))
-    nine = {
-        f"{q}_covariance": np.zeros(9) for q in ("orientation", "angular_velocity", "linear_acceleration")
-    }
-    layout = make(store, "std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
-    kinds: dict[str, tuple[str, Callable[[int, int], Any]]] = {
-        "/pose": (f"{g}PoseStamped", lambda i, s: stamped(store, f"{g}PoseStamped", s, pose=at(i))),
+    fields: dict[str, tuple[str, Callable[[int, int], dict[str, Any]]]] = {
+        "/pose": (f"{g}PoseStamped", lambda i, s: {"pose": posed((i * DT, 2, 3), TURN)}),
         "/posecov": (
             f"{g}PoseWithCovarianceStamped",
-            lambda i, s: stamped(
-                store,
-                f"{g}PoseWithCovarianceStamped",
-                s,
-                pose=make(store, f"{g}PoseWithCovariance", pose=at(i), **covariance),
-            ),
+            lambda i, s: {"pose": {"pose": posed((i * DT, 2, 3), TURN)}},
         ),
-        "/transform": (f"{g}TransformStamped", lambda i, s: transform_stamped(i, s, "box")),
-        "/twist": (f"{g}TwistStamped", lambda i, s: stamped(store, f"{g}TwistStamped", s, twist=twist)),
-        "/wrench": (f"{g}WrenchStamped", lambda i, s: stamped(store, f"{g}WrenchStamped", s, wrench=wrench)),
+        "/transform": (f"{g}TransformStamped", lambda i, s: moved(i, s, "box")),
+        "/twist": (f"{g}TwistStamped", lambda i, s: {"twist": vectors}),
+        "/wrench": (f"{g}WrenchStamped", lambda i, s: {"wrench": vectors}),
         "/imu": (
-            "sensor_msgs/msg/Imu",
-            lambda i, s: stamped(
-                store,
-                "sensor_msgs/msg/Imu",
-                s,
-                orientation=quaternion(store, TURN),
-                angular_velocity=vector(store, (4, 5, 6)),
-                linear_acceleration=vector(store, (0, 0, 9.81)),
-                **nine,
-            ),
+            imu,
+            lambda i, s: {
+                "orientation": turn, "angular_velocity": (4, 5, 6), "linear_acceleration": (0, 0, 9.81)
+            },
         ),
-        "/array": (ARRAY, lambda i, s: make(store, ARRAY, layout=layout, data=np.array([i, 2.0 * i]))),
-        "/number": ("std_msgs/msg/Float64", lambda i, s: make(store, "std_msgs/msg/Float64", data=float(i))),
-    }
+        "/array": (ARRAY, lambda i, s: {"data": (i, 2.0 * i)}),
+        "/number": ("std_msgs/msg/Float64", lambda i, s: {"data": i}),
+    }  # fmt: skip
     if store is ROS2:  # rosbags has no ROS 1 TFMessage to write
-        name = "tf2_msgs/msg/TFMessage"
-        kinds["/tf"] = (
-            name,
-            lambda i, s: make(
-                store, name, transforms=[transform_stamped(2 * i, s, "arm"), transform_stamped(i, s, "box")]
-            ),
+        both = lambda i, s: {"transforms": [moved(2 * i, s, "arm"), moved(i, s, "box")]}  # noqa: E731
+        fields["/tf"] = ("tf2_msgs/msg/TFMessage", both)
+    kinds = {
+        topic: (
+            kind,
+            lambda i, s, kind=kind, of=of: make(store, kind, **{"header": header(store, s)} | of(i, s)),
         )
+        for topic, (kind, of) in fields.items()
+    }
     messages = [m for topic, (kind, content) in kinds.items() for m in series(store, topic, kind, content)]
     messages.sort(key=lambda message: message.stamp_ns)
     folder = tmp_path_factory.mktemp("zoo")
@@ -242,23 +217,11 @@ def test_empty_velocity_is_differentiated_and_empty_effort_refused(tmp_path: Pat
 
 
 def test_trajectory_points_act_after_their_delay_until_the_next_command(tmp_path: Path) -> None:
-    name, point = "trajectory_msgs/msg/JointTrajectory", "trajectory_msgs/msg/JointTrajectoryPoint"
-    empty = np.zeros(0)
+    name = "trajectory_msgs/msg/JointTrajectory"
 
     def points(i: int) -> list[Any]:
         delays = (20_000_000, 500_000_000)
-        return [
-            make(
-                ROS2,
-                point,
-                positions=np.array([10.0 * k, float(i)]),
-                velocities=empty,
-                accelerations=empty,
-                effort=empty,
-                time_from_start=make(ROS2, "builtin_interfaces/msg/Duration", sec=0, nanosec=delay),
-            )
-            for k, delay in enumerate(delays)
-        ]
+        return [{"positions": (10.0 * k, i), "time_from_start": (0, delay)} for k, delay in enumerate(delays)]
 
     messages = series(
         ROS2, "/cmd", name, lambda i, s: stamped(ROS2, name, s, joint_names=["b", "a"], points=points(i))
@@ -280,8 +243,8 @@ def custom_log(path: Path, definitions: bool, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr("tests.logs.log_makers.ROS2", store)
 
     def content(i: int, stamp: int) -> Any:
-        motors = [make(store, "go_msgs/msg/Motor", q=k + i, dq=-k, name="m" * (i % 3)) for k in range(3)]
-        return make(store, "go_msgs/msg/Low", tick=i, motorState=motors, u=np.array([1.0, i]))
+        motors = [{"q": k + i, "dq": -k, "name": "m" * (i % 3)} for k in range(3)]
+        return make(store, "go_msgs/msg/Low", (i, motors, (1.0, i)))
 
     return write_mcap(path, series(store, "/low", "go_msgs/msg/Low", content), definitions=definitions)
 
@@ -334,7 +297,7 @@ def test_lost_quaternions_take_their_positions_along(
     def content(i: int, stamp: int) -> Any:
         lost = {10: (0, 0, 0, 0), 11: (np.nan,) * 4, 12: (3, 0, 0, 0)}
         place = (0, 0, 0) if i in lost else (1, 1, 1)
-        return stamped(ROS2, f"{g}PoseStamped", stamp, pose=pose(ROS2, place, lost.get(i, TURN)))
+        return stamped(ROS2, f"{g}PoseStamped", stamp, pose=posed(place, lost.get(i, TURN)))
 
     path = write_mcap(tmp_path / "a", series(ROS2, "/p", f"{g}PoseStamped", content))
     with caplog.at_level(logging.WARNING):
@@ -348,17 +311,8 @@ def test_unknown_imu_orientation_is_not_data(tmp_path: Path) -> None:
     unknown = np.array([-1.0, *np.zeros(8)])
 
     def content(i: int, stamp: int) -> Any:
-        return stamped(
-            ROS2,
-            "sensor_msgs/msg/Imu",
-            stamp,
-            orientation=quaternion(ROS2, (1, 0, 0, 0)),
-            orientation_covariance=unknown,
-            angular_velocity=vector(ROS2, (200, 0, 0)),
-            angular_velocity_covariance=np.zeros(9),
-            linear_acceleration=vector(ROS2, (0, 0, 9.8)),
-            linear_acceleration_covariance=np.zeros(9),
-        )
+        turn = {"orientation": (0, 0, 0, 1), "orientation_covariance": unknown}
+        return stamped(ROS2, "sensor_msgs/msg/Imu", stamp, angular_velocity=(200, 0, 0), **turn)
 
     path = write_mcap(tmp_path / "a", series(ROS2, "/imu", "sensor_msgs/msg/Imu", content))
     with pytest.raises(LogError, match="carries no orientation"):
@@ -381,9 +335,8 @@ def test_child_frames(tmp_path: Path) -> None:
     name = "tf2_msgs/msg/TFMessage"
 
     def content(i: int, stamp: int) -> Any:
-        t = make(ROS2, f"{g}Transform", translation=vector(ROS2, (1, 2, 3)), rotation=quaternion(ROS2, TURN))
-        child = {"child_frame_id": "box", "transform": t}
-        return make(ROS2, name, transforms=[stamped(ROS2, f"{g}TransformStamped", stamp, **child)])
+        child = {"child_frame_id": "box", "transform": posed((1, 2, 3), TURN)}
+        return make(ROS2, name, transforms=[{"header": header(ROS2, stamp), **child}])
 
     path = write_mcap(tmp_path / "a", series(ROS2, "/tf", name, content))
     assert read(path, Signal("b", "/tf", ("position",), child_frame="/box"))["b.position"].valid.all()
