@@ -147,29 +147,39 @@ def audit(
         return searched_for(system, logs, None, options, progress, quick=True, near=near, clips=clips)
 
     # rollouts of all clips take their time, and a few show what is far off
-    search, wide, near = None, frozenset[Group](), None
+    search, doubted, near = None, Doubted(), None
     for clips in (None,) if proposal.match == "effort" else (_FEW, None):
-        search, wide = _without_suspects(partial(searched, clips=clips), claims, wide, near)
+        search, doubted = _without_suspects(partial(searched, clips=clips), claims, doubted, near)
         near = search.problem.system.space.theta_of(search.finding.z)
     assert search is not None
     found, system = concluded(search), search.problem.system
-    lines = _lines(system, found, claims, logs)
+    lines = _lines(system, found, claims, doubted.ever, logs)
     return Audit(tuple(lines), system, found, tuple(claims), proposal)
+
+
+@dataclass(frozen=True, slots=True)
+class Doubted:
+    """Groups of numbers that are not believed, and all that ever stood out, which may explain the same."""
+
+    wide: frozenset[Group] = frozenset()
+    ever: frozenset[Group] = frozenset()
 
 
 def _without_suspects(
     searched: Callable[[Collection[Group], FloatArray | None], Search],
     claims: Sequence[Claim],
-    wide: frozenset[Group],
+    doubted: Doubted,
     near: FloatArray | None,
-) -> tuple[Search, frozenset[Group]]:
+) -> tuple[Search, Doubted]:
     """The search after which no number stands out that is believed, and those that are not.
 
     One linearisation says which numbers those are. It may err far from its minimum: where the cost rises when
     they are left open, only the first of them is, and where it still rises, that one is believed.
     """
-    search, refused = searched(wide, near), frozenset[Group]()
-    suspects = _suspects(search, claims, wide)
+    wide, refused = doubted.wide, frozenset[Group]()
+    search = searched(wide, near)
+    suspects, ever = _suspects(search, claims, wide)
+    ever |= doubted.ever
     for _ in range(_ROUNDS):
         if not suspects:
             break
@@ -182,8 +192,9 @@ def _without_suspects(
             continue
         else:
             refused |= {*suspects}
-        suspects = _suspects(search, claims, wide | refused)
-    return search, wide
+        suspects, more = _suspects(search, claims, wide | refused)
+        ever |= more
+    return search, Doubted(wide, ever)
 
 
 def _cost(search: Search) -> float:
@@ -218,8 +229,14 @@ def _sheets(system: System, claims: Sequence[Claim]) -> tuple[FloatArray, FloatA
     return file, sheet
 
 
-def _suspects(search: Search, claims: Sequence[Claim], known: Collection[Group]) -> list[Group]:
-    """Groups of numbers that stand out, one after the other, as far as one linearisation shows."""
+def _suspects(
+    search: Search, claims: Sequence[Claim], known: Collection[Group]
+) -> tuple[list[Group], frozenset[Group]]:
+    """Groups of numbers that stand out, one after the other, as far as one linearisation shows.
+
+    Returns:
+        Those that explain all together, and all that stood out at any time.
+    """
     evidence, system = _sketched(search), search.problem.system
     file, sheet = _sheets(system, claims)
     rows = dict(zip((claim.parameter for claim in claims), _rows(system, claims), strict=True))
@@ -229,17 +246,24 @@ def _suspects(search: Search, claims: Sequence[Claim], known: Collection[Group])
     for claim in claims:
         if claim.group not in known:
             groups.setdefault(claim.group, []).append(rows[claim.parameter])
-    found: list[Group] = []
-    while groups and (worst := outstanding(evidence, groups, file, sheet, wide)) is not None:
-        found.append(worst)
-        sd = evidence.prior[1].copy()
-        open_ = groups.pop(worst)
-        sd[open_] = wide[open_]
+    found, ever = list[Group](), frozenset[Group]()
+    while standing := outstanding(evidence, groups, file, sheet, wide):
+        found.append(standing[0])
+        ever |= {*standing}
+        sd, left_open = evidence.prior[1].copy(), groups.pop(standing[0])
+        sd[left_open] = wide[left_open]
         evidence = evidence.with_priors(sd)
-    return found
+    return found, ever
 
 
-def _lines(system: System, found: Identification, claims: Sequence[Claim], logs: Sequence[Log]) -> list[Line]:
+def _lines(
+    system: System,
+    found: Identification,
+    claims: Sequence[Claim],
+    ever: Collection[Group],
+    logs: Sequence[Log],
+) -> list[Line]:
+    """The table; what is contradicted stays so if all that `ever` stood out is left open."""
     belief = found.belief
     evidence = _evidence(
         system.space, system.space.phi_of(belief.estimate), found.information, belief.covariance
@@ -247,7 +271,13 @@ def _lines(system: System, found: Identification, claims: Sequence[Claim], logs:
     rows = _rows(system, claims)
     file, sheet = (one[rows] for one in _sheets(system, claims))
     logged = said(evidence, rows, file, sheet)
-    chance = chances(logged.t)
+    sd = evidence.prior[1].copy()
+    for row, claim in zip(rows, claims, strict=True):
+        if claim.group in ever:
+            sd[row] = claim.wide
+    alone = said(evidence.with_priors(sd), rows, file, sheet)
+    t = np.sign(logged.t) * np.minimum(np.abs(logged.t), np.abs(alone.t))
+    chance = chances(t)
     wrong = contradicted(chance) & (not found.unexplained)
     log, factor = system.space.log[rows], np.array([claim.factor for claim in claims])
     value = factor * theta_of(log, logged.mean)
@@ -258,7 +288,7 @@ def _lines(system: System, found: Identification, claims: Sequence[Claim], logs:
     lines = [
         Line(
             c.number.of, c.number.what, c.number.unit, c.parameter, c.value, float(value[i]), float(sd[i]),
-            float(logged.t[i]), float(chance[i]), str(verdicts[i]), weight[i],
+            float(t[i]), float(chance[i]), str(verdicts[i]), weight[i],
             _cure(system, found, evidence, c) if verdicts[i] == VERDICTS[2] else "",
         )
         for i, c in enumerate(claims)

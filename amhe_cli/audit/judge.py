@@ -18,6 +18,9 @@ group whose sheet has the width W if it is wrong, and S if it is right, the fact
 q (c - f): normal, with covariances q + q W q and q + q S q. What the log does not show adds nothing, and what
 W leaves open without need counts against it.
 
+Numbers that stood out at the same time may explain the same. One is only contradicted if it is so with the
+others left open, too.
+
 Of many numbers some differ by chance: Holm's steps (1979) keep the chance that a table calls any right number
 contradicted at 5 %, and so the share of such verdicts that are wrong.
 """
@@ -27,12 +30,15 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from math import erfc, sqrt
+from typing import TypeVar
 
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
 from amhe_cli.core.statistics import positive
 
+#: Name of a group of numbers.
+K = TypeVar("K", bound=Hashable)
 #: Share of tables that may call a right number contradicted.
 RATE = 0.05
 #: Logarithm of a Bayes factor that is strong evidence (Kass and Raftery 1995, "Bayes factors").
@@ -103,12 +109,12 @@ def said(evidence: Findings, rows: Sequence[int], file: FloatArray, sheet: Float
 
 def outstanding(
     evidence: Findings,
-    groups: Mapping[Hashable, Sequence[int]],
+    groups: Mapping[K, Sequence[int]],
     file: FloatArray,
     sheet: FloatArray,
     wide: FloatArray,
-) -> Hashable | None:
-    """The group of numbers that most probably has a wrong data sheet; None: no group stands out.
+) -> list[K]:
+    """The groups of numbers whose data sheet is wrong by strong evidence, each alone; the strongest first.
 
     Args:
         evidence: The estimate, every number with its data sheet's sd as its prior, or a wide one.
@@ -116,16 +122,15 @@ def outstanding(
         file, sheet, wide: Of all parameters: what the file says, the sd of a data sheet that is right, and of
             one that is wrong, shape (d,).
     """
-    known, best, most = evidence.known(), None, _STRONG
+    known, factors = evidence.known(), dict[K, float]()
     for name, rows in groups.items():
         at, n, p = list(rows), evidence.prior[0, rows], evidence.prior[1, rows]
         inverse = np.linalg.inv(known[np.ix_(at, at)])
         q = positive(inverse - np.diag(p**-2.0))
         u = inverse @ evidence.mean[at] - n / p**2 - q @ file[at]
-        factor = _log_density(u, q, wide[at]) - _log_density(u, q, sheet[at])
-        if factor > most:
-            best, most = name, factor
-    return best
+        factors[name] = _log_density(u, q, wide[at]) - _log_density(u, q, sheet[at])
+    strong = [name for name, factor in factors.items() if factor > _STRONG]
+    return sorted(strong, key=lambda name: -factors[name])
 
 
 def _log_density(u: FloatArray, q: FloatArray, sd: FloatArray) -> float:

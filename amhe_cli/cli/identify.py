@@ -79,20 +79,17 @@ def identify(session: Session, given: Given) -> int | None:
     a LeRobot dataset, or a YAML file that lists logs and what is known of each: see docs/logs.md. Writes
     belief.yaml, identified.xml, result.json and report.html.
     """
-    from dataclasses import asdict
     from functools import partial
 
     from amhe_cli.api.identify import Interrupted
     from amhe_cli.api.identify import identify as run
     from amhe_cli.api.repair import repair
-    from amhe_cli.check.findings import worst_first
-    from amhe_cli.check.model import check_model
     from amhe_cli.check.motion import motions, still
     from amhe_cli.cli.progress import of_search, progress
     from amhe_cli.cli.required import matching, missed_of
     from amhe_cli.logs import members, read_log
     from amhe_cli.logs.truth import truth_in_metadata
-    from amhe_cli.report.check import print_before
+    from amhe_cli.report.check import said_before
     from amhe_cli.report.identification import print_identification
     from amhe_cli.study.executors import executor_of
 
@@ -108,9 +105,8 @@ def identify(session: Session, given: Given) -> int | None:
     system.starting_from(given.belief, **known)  # a mistake in an option is found before long logs are read
     matching(system.space.names, given.require)
     training = inputs.read(system, logs)
-    doubts = worst_first([*check_model(system.model), *still(motions(system, training))])
-    if not session.json:
-        print_before(doubts, session.console())
+    console = None if session.json else session.console()
+    findings = said_before(system, still(motions(system, training)), console)
     validation = read_log(given.held_out, system, msg_path=inputs.msg_path)
     if given.repair:
         run = partial(repair, cause=None if given.repair == "all" else given.repair)
@@ -128,7 +124,7 @@ def identify(session: Session, given: Given) -> int | None:
             result = stop.result
     session.interrupted = result.found.interrupted
     missed = missed_of(result.found.parameters, given.require, "known")
-    about = {"findings": [asdict(one) for one in doubts], "not_reached": missed, "out": str(folder)}
+    about = {"findings": findings, "not_reached": missed, "out": str(folder)}
     record = session.record(**result.record(), **about)
     read = [*logs, *(one.path for path in logs for one in members(path))]
     force = given.force or bool(given.model)

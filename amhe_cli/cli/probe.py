@@ -75,6 +75,7 @@ def probe(session: Session, given: Given) -> None:
     from amhe_cli.estimation.design.design import known_record, plan_record
     from amhe_cli.estimation.design.files import log_name
     from amhe_cli.estimation.design.probe import ActuatorProbe, ProbeOptions
+    from amhe_cli.report.check import said_before
     from amhe_cli.report.probe import print_achieved, print_plan
     from amhe_cli.robots.go1.probing.probe import Go1OnLink, open_probe, robot_to_probe
     from amhe_cli.system.description.folders import bundled_systems, find_system
@@ -95,13 +96,14 @@ def probe(session: Session, given: Given) -> None:
         return at_the_robot.dry_run(session, robot_to_probe(chosen, robot))
     opened = open_probe(chosen, robot)
     log = log_name(opened.system.signals)
+    findings = said_before(opened.system, (), None if session.json else session.console())
     say = click.get_current_context().with_resource(progress(session, "probe", _shown))
     plan = opened.design(say)
     inputs = [Path(path) for path in (belief, given.plant) if path and Path(path).is_file()]
     about = {
         "system": opened.system.name, "task": opened.task, "target": target, "seed": given.seed,
         "out": str(folder),
-        "fixed": opened.system.fixed,
+        "fixed": opened.system.fixed, "findings": findings,
         "provenance": provenance(session.command_line, given.seed, "probe", opened.system, inputs, ()),
     }  # fmt: skip
     record, error = plain(session.record(**about, **plan_record(plan))), None

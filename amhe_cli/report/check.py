@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
 from rich.console import Console
 
-from amhe_cli.check.findings import Finding
+from amhe_cli.check.findings import Finding, worst_first
+from amhe_cli.check.model import check_model
 from amhe_cli.check.motion import JointMotion
 from amhe_cli.estimation.core.result import ParameterResult
 from amhe_cli.estimation.design.expected import Expected
 from amhe_cli.report import numbers
 from amhe_cli.report.page import Section, Statement, page
 from amhe_cli.report.tables import NUMBER, TEXT, Table, rich_table
+from amhe_cli.system.system import System
 
 #: Findings that a terminal lists, alone and before a fit, and combinations.
 _LISTED, _FEW, _TOGETHER = 20, 3, 4
@@ -41,13 +43,24 @@ def print_findings(found: Sequence[Finding], console: Console, most: int = _LIST
         console.print(f"    {one.cure}", style="dim", soft_wrap=True)
 
 
-def print_before(found: Sequence[Finding], console: Console) -> None:
-    """Print the worst findings before a fit; nothing where there is none."""
-    if found:
+def said_before(system: System, more: Iterable[Finding], console: Console | None) -> list[dict[str, Any]]:
+    """Check the model of a system before a fit or a probe, and print the worst findings.
+
+    Args:
+        system: The system.
+        more: What was found in logs.
+        console: Where to print; None: nowhere.
+
+    Returns:
+        The key `findings` of result.json.
+    """
+    found = worst_first([*check_model(system.model), *more])
+    if found and console:
         more = f"; `amhe check` says more of the other {len(found) - _FEW}" if len(found) > _FEW else ""
-        console.print(f"before the fit, {_doubts(len(found))}{more}:", soft_wrap=True)
+        console.print(f"first of all, {_doubts(len(found))}{more}:", soft_wrap=True)
         print_findings(found, console, _FEW)
         console.print()
+    return [asdict(one) for one in found]
 
 
 def print_expected(hope: Expected, moved: Sequence[JointMotion], console: Console) -> None:

@@ -67,7 +67,7 @@ def test_a_study_leaves_a_file_a_cell_and_all_that_is_made_of_them(done: Path) -
     assert [(row["task"], row["mode"], row["n"]) for row in rows] == [
         ("t1", "true", 1), ("t1", "baseline", 1), ("t5", "true", 1), ("t5", "baseline", 1)
     ]  # fmt: skip
-    assert {p.suffix for p in (done / "tables").glob("measures.*")} == {".md", ".csv"}
+    assert {p.suffix for p in (done / "tables").glob("measures.*")} == {".md", ".tex", ".csv"}
     assert {p.stem for p in (done / "figures").glob("*.pdf")} >= {"paths", "speed", "final"}
     assert len(list((done / "figures").glob("*.png"))) == len(list((done / "figures").glob("*.pdf")))
 

@@ -104,7 +104,7 @@ def test_what_is_wrong_before_the_fit_is_said_first_and_kept(
     arguments += ["--require", "load_mass<0.1%"]
     assert run(arguments) == 3
     shown = capsys.readouterr().out
-    assert shown.startswith("before the fit, ") and "time steps" in shown.partition("load_mass")[0]
+    assert shown.startswith("first of all, ") and "time steps" in shown.partition("load_mass")[0]
     assert "not reached: load_mass is known to" in shown
     record = json.loads(Path("out/result.json").read_text())
     assert record["findings"][0]["kind"] == "stiff" and len(record["not_reached"]) == 1

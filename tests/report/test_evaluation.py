@@ -100,6 +100,9 @@ def test_the_operating_point_of_an_ablation_is_marked(groups: Groups) -> None:
 def test_every_form_holds_every_row(groups: Groups, name: str) -> None:
     table = made(groups, name)
     assert formats.markdown(table).count("\n| ") == len(table.rows) + 2
+    tex = formats.latex(table)
+    assert tex.count(r" \\") == len(table.rows) + 1 and not set("±≤≥–−×") & set(tex)
+    assert not [line for line in tex.splitlines() if "_" in line.replace(r"\_", "") and "label" not in line]
     assert list(table.table.rows) == list(table.rows) and len(table.table.looks) == len(table.head)
     assert len(list(csv.DictReader(io.StringIO(formats.comma_separated(table))))) == len(table.records)
 

@@ -10,7 +10,7 @@ from typing import Any
 from amhe_cli.core.files import plain
 from amhe_cli.report.folder import write_page
 from amhe_cli.report.study.figures import Floors, drawn
-from amhe_cli.report.study.formats import StudyTable, comma_separated, markdown
+from amhe_cli.report.study.formats import FORMATS, StudyTable
 from amhe_cli.report.study.page import study_page
 from amhe_cli.report.study.tables import tables
 from amhe_cli.study.ablations import ablations
@@ -54,8 +54,8 @@ def write_study(store: Store, floors: Floors, modes: Sequence[str]) -> Report:
     write_file(store.folder / "summary.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
     (store.folder / "tables").mkdir(exist_ok=True)
     for table in made:
-        write_file(store.folder / "tables" / f"{table.name}.md", markdown(table))
-        write_file(store.folder / "tables" / f"{table.name}.csv", comma_separated(table))
+        for suffix, form in FORMATS.items():
+            write_file(store.folder / "tables" / f"{table.name}.{suffix}", form(table))
     pictures = drawn(groups, tried, floors, store.folder / "figures")
     write_page(store.folder, lambda: study_page(store.study, groups, failures, made, pictures))
     return Report(len(results) - len(failures), failures, content, made)

@@ -1,4 +1,4 @@
-"""A table of a study: for a page and a terminal, as Markdown, and as CSV."""
+"""A table of a study: for a page and a terminal, as Markdown, LaTeX and CSV."""
 
 from __future__ import annotations
 
@@ -13,6 +13,11 @@ from amhe_cli.core.files import plain
 from amhe_cli.core.text import printable
 from amhe_cli.report.tables import NUMBER, Table
 
+#: Characters with a special meaning in LaTeX, and how they are written.
+_LATEX = {
+    "\\": r"\textbackslash{}", "%": r"\%", "_": r"\_", "&": r"\&", "#": r"\#", "$": r"\$",
+    "±": r"$\pm$", "≤": r"$\le$", "≥": r"$\ge$", "–": "--", "×": r"$\times$", "−": "$-$",
+}  # fmt: skip
 #: What Markdown takes for markup; an underscore within a word is none, nor are brackets without a link.
 _MARKUP = re.compile(r"[\\|<&`*~]|(?<=\])[(\[:]|(?<![^\W_])_|_(?![^\W_])")
 
@@ -51,6 +56,21 @@ def markdown(table: StudyTable) -> str:
     return "\n".join((f"**{title}**", "", *body, *(["", note] if note else []))) + "\n"
 
 
+def latex(table: StudyTable) -> str:
+    """The table for a LaTeX paper that loads booktabs."""
+    head, *lines = (" & ".join(map(_escaped, line)) + r" \\" for line in (table.head, *table.rows))
+    rows = "\n    ".join((r"\toprule", head, r"\midrule", *lines, r"\bottomrule"))
+    return rf"""\begin{{table}}[htbp]
+  \centering
+  \caption{{{_escaped(table.title)}}}
+  \label{{tab:{table.name}}}
+  \begin{{tabular}}{{@{{}}l{"r" * (len(table.head) - 1)}@{{}}}}
+    {rows}
+  \end{{tabular}}
+\end{{table}}
+"""
+
+
 def comma_separated(table: StudyTable) -> str:
     """The table as CSV, one row for each record."""
     out = io.StringIO()
@@ -61,6 +81,14 @@ def comma_separated(table: StudyTable) -> str:
     return out.getvalue()
 
 
+#: Suffix of a file -> what makes its content.
+FORMATS = {"md": markdown, "tex": latex, "csv": comma_separated}
+
+
 def _unmarked(words: str) -> str:
     """A text that Markdown shows as it is, in one line."""
     return _MARKUP.sub(r"\\\g<0>", printable(words))
+
+
+def _escaped(words: str) -> str:
+    return re.sub("|".join(map(re.escape, _LATEX)), lambda found: _LATEX[found[0]], words)
