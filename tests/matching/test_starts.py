@@ -96,7 +96,7 @@ def test_a_joint_that_follows_another_starts_where_that_one_demands_it() -> None
 
 class _WithThree:
     nv = 3
-    eq_type = eq_active0 = eq_obj2id = tendon_limited = np.empty(0)
+    eq_type = eq_active0 = eq_obj2id = tendon_limited = tendon_stiffness = np.empty(0)
 
 
 def test_each_clip_has_what_its_own_log_measured_in_whatever_order(cart, drive) -> None:
