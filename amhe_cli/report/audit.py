@@ -31,8 +31,6 @@ from amhe_cli.system.system import System
 
 #: Colour of each verdict.
 STYLES = {"contradicted": "red", "agrees": "green", "cannot tell": "dim"}
-#: Names of a list that are printed.
-_LISTED = 6
 
 
 def audit_table(lines: Sequence[Line]) -> Table:
@@ -61,8 +59,7 @@ def audit_text(lines: Sequence[Line], found: Audit | None, out: object = None) -
         if line.verdict == VERDICTS[2]:
             cures.setdefault(line.cure, []).append(f"{line.of} {line.what}")
     for cure, names in cures.items():
-        more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
-        yield f"cannot tell {', '.join(names[:_LISTED])}{more}{': ' * bool(cure)}{cure}"
+        yield f"cannot tell {numbers.some(names)}{': ' * bool(cure)}{cure}"
     yield count_text(lines)
     if found is not None:
         for text in found.found.unexplained:
@@ -157,7 +154,7 @@ def _page(found: Audit, model: Path, record: Mapping[str, Any], origin: Mapping[
             f"The {line.what} of {line.of}: {line.file:.4g} in the file, {_said(line)} in the logs"
             f"{_factor(line)}.",
         )
-        for line in wrong[:_LISTED]
+        for line in wrong[: numbers.MOST_NAMES]
     ]
     statements += [Statement("bad", f"{text[0].upper()}{text[1:]}.") for text in found.found.unexplained]
     sections = [
@@ -217,8 +214,7 @@ def difference_text(found: FilesCompared, one: str, other: str) -> Iterator[str]
     yield f"what moves weighs {masses[0]} in {one} and {masses[1]} in {other}"
     for name, alone in zip((one, other), found.alone, strict=True):
         if alone:
-            more = f" and {len(alone) - _LISTED} more" if len(alone) > _LISTED else ""
-            yield f"only in {name}: {', '.join(alone[:_LISTED])}{more}"
+            yield f"only in {name}: {numbers.some(alone)}"
 
 
 def difference_record(found: FilesCompared, one: Path, other: Path) -> dict[str, Any]:

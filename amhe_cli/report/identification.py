@@ -201,7 +201,10 @@ def print_identification(
     if result.interrupted:
         console.print("interrupted: these are the best values so far", style="yellow")
     if folder is not None:
-        for line in (f"report: {folder / 'report.html'}", *next_steps(folder)):
+        for line in (
+            f"report: {folder / 'report.html'}",
+            *next_steps(folder, (folder / "view.html").exists()),
+        ):
             console.print(Text(line, overflow="fold"), soft_wrap=True)
 
 

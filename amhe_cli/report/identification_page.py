@@ -26,7 +26,7 @@ from amhe_cli.report.check import before_section
 from amhe_cli.report.held_out import better_text, held_out_section, held_out_statement
 from amhe_cli.report.missing import missing_section, repairs_section
 from amhe_cli.report.page import Section, Statement, Tone, cell, fixed_statement, result_page
-from amhe_cli.report.parameters import body_table, budget_section, parameter_section
+from amhe_cli.report.parameters import body_table, budget_section, parameter_sections
 from amhe_cli.report.tables import NUMBER, STRONG, Table
 
 #: Clips whose fit is drawn.
@@ -179,11 +179,11 @@ def _verdicts(parameters: Sequence[ParameterResult]) -> Iterator[Statement]:
         if p.verdict == "conditional":
             given.setdefault(p.given, []).append(p.name)
     for what, names in given.items():
-        yield Statement("mixed", f"{numbers.joined(names)}: determined by the logs if {what}, is right.")
+        yield Statement("mixed", f"{numbers.some(names)}: determined by the logs if {what}, is right.")
     for verdict, tone in _TONES.items():
         names = [p.name for p in parameters if p.verdict == verdict]
         if names:
-            yield Statement(tone, f"{numbers.joined(names)}: {VERDICTS[verdict]}.")
+            yield Statement(tone, f"{numbers.some(names)}: {VERDICTS[verdict]}.")
 
 
 def _residuals(result: Identification) -> Iterator[Statement]:
@@ -208,7 +208,7 @@ def _divergence(result: Identification) -> Iterator[Statement]:
 
 
 def _sections(result: Identification, record: Mapping[str, Any], seen: Beside) -> Iterator[Section]:
-    yield parameter_section(result, record["truth"])
+    yield from parameter_sections(result, record["truth"])
     if result.fits:
         yield overlay_section(result.fits, seen)
     if doubts := record.get("findings"):
@@ -265,14 +265,14 @@ def _sections(result: Identification, record: Mapping[str, Any], seen: Beside) -
         )
     yield _data_section(result)
     if folder := record.get("out"):
-        yield Section("Next", items=next_steps(folder), files=True, folded=False)
+        yield Section("Next", items=next_steps(folder, bool(seen.page)), files=True, folded=False)
 
 
-def next_steps(folder: str | Path) -> list[str]:
-    """What to do next, to look at a result, to use it and to randomise with it."""
+def next_steps(folder: str | Path, view: bool) -> list[str]:
+    """What to do next, to look at a result (if it has a view), to use it and to randomise with it."""
     quoted = shlex.quote(str(folder))
     return [
-        f"look: amhe view {quoted}",
+        *([f"look: amhe view {quoted}"] if view else []),
         f"use: {quoted}/identified.xml",
         f"randomise: amhe export --to mjlab {quoted}/belief.yaml",
     ]

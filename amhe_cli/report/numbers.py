@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+#: Names of a long list that are said.
+MOST_NAMES = 6
 #: Text for a missing number.
 MISSING = "–"
 
@@ -72,6 +74,12 @@ def angle(radians: float) -> str:
 def named(values: Mapping[str, float]) -> str:
     """Values by name: 'gain_scale 1, command_delay 0.012'."""
     return ", ".join(f"{name} {value:.4g}" for name, value in values.items())
+
+
+def some(names: Sequence[str]) -> str:
+    """List of the first few: 'a, b and 3 more'."""
+    more = len(names) - MOST_NAMES
+    return joined(names) if more <= 1 else f"{', '.join(names[:MOST_NAMES])} and {more} more"
 
 
 def joined(names: Sequence[str]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from markupsafe import Markup
@@ -22,8 +22,10 @@ _HUES = "after", "prior", "violet", "red", "mixed", "teal", "brown", "amber", "m
 _COLORS = dict(zip(KINDS, _HUES, strict=True))
 
 
-def parameter_section(result: Identification, truth: Mapping[str, float]) -> Section:
+def parameter_sections(result: Identification, truth: Mapping[str, float]) -> Iterator[Section]:
     """Each parameter with its verdict, and below them the reasons that many share.
+
+    Of many parameters, those that the logs hardly narrow down have a part of their own, which is closed.
 
     Args:
         result: The identification.
@@ -33,16 +35,23 @@ def parameter_section(result: Identification, truth: Mapping[str, float]) -> Sec
     meanings = Markup(" ").join(
         Markup("{} {}.").format(cell("verdict", name), text) for name, text in VERDICTS.items()
     )
-    return Section(
+    rows = list(zip(result.parameters, result.belief.log, strict=True))
+    apart = [row for row in rows if row[0].verdict == "prior"] if len(rows) > figures.MANY else []
+    yield Section(
         "Parameters",
-        table=_parameter_table(result, truth, common),
+        table=_parameter_table([row for row in rows if row not in apart], truth, common),
         items=[f"{place}: {one.text}: {', '.join(one.owners)}" for place, one in enumerate(common, 1)],
         note=meanings
         + " Shrinkage is how much narrower the posterior is than the prior; at 0 % the logs added nothing.",
     )
+    if apart:
+        title = f"{len(apart)} parameters that the logs hardly narrow down"
+        yield Section(title, table=_parameter_table(apart, truth, common), folded=True)
 
 
-def _parameter_table(result: Identification, truth: Mapping[str, float], common: Sequence[Shared]) -> Table:
+def _parameter_table(
+    known: Sequence[tuple[ParameterResult, bool]], truth: Mapping[str, float], common: Sequence[Shared]
+) -> Table:
     rows = [
         (
             p.name,
@@ -53,7 +62,7 @@ def _parameter_table(result: Identification, truth: Mapping[str, float], common:
             _strip(p, log),
             cell("bar", p.shrinkage, numbers.shrinkage(p.shrinkage)),
         )
-        for p, log in zip(result.parameters, result.belief.log, strict=True)
+        for p, log in known
     ]
     head = (
         "parameter",
@@ -65,7 +74,7 @@ def _parameter_table(result: Identification, truth: Mapping[str, float], common:
         "shrinkage",
     )
     looks = ("name", "", STRONG, NUMBER, f"{NUMBER} soft", "spare", NUMBER)
-    return Table(head, looks, rows, [_remark(p, truth, common) for p in result.parameters])
+    return Table(head, looks, rows, [_remark(p, truth, common) for p, _ in known])
 
 
 def _strip(p: ParameterResult, log: bool) -> Markup:

@@ -166,11 +166,12 @@ def _sections(log: Path, system: System, record: Mapping[str, Any]) -> Iterator[
     looks = ("name", NUMBER, NUMBER, "soft wrap")
     yield Section("Motions", table=Table(("motion", "start [s]", "lasts [s]", ""), looks, rows))
     if tried := record.get("tried"):
+        most = max(one["sd_over_prior"] for one in tried)
         chosen = {part["name"] for part in record["sequence"]}
         rows = [
             (
                 f"{one['name']}{' (chosen)' * (one['name'] in chosen)}",
-                cell("bar", one["sd_over_prior"], numbers.percent(one["sd_over_prior"]), long=True),
+                cell("bar", one["sd_over_prior"] / most, numbers.percent(one["sd_over_prior"]), long=True),
             )
             for one in sorted(tried, key=lambda one: one["sd_over_prior"])
         ]
@@ -186,4 +187,6 @@ def _sections(log: Path, system: System, record: Mapping[str, Any]) -> Iterator[
     except AmheError as error:
         yield Section("What was recorded", text=f"The log cannot be read: {error}")
     else:
-        yield Section("What was recorded", figure=log_figure(recorded))
+        yield Section(
+            "What was recorded", figure=log_figure(recorded, {one.key: one.unit for one in system.channels})
+        )

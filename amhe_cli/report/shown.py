@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import singledispatch
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from markupsafe import Markup
@@ -141,15 +142,20 @@ def _of_belief(belief: Belief) -> Iterator[Section]:
         yield Section("Correlations", table=Table(("", *belief.names), looks, rows))
 
 
-def log_figure(log: Log) -> Markup:
-    """Each series over time, a panel each, gaps left open; '' for a log without samples."""
+def log_figure(log: Log, units: Mapping[str, str] = MappingProxyType({})) -> Markup:
+    """Each series over time, a panel each, gaps left open; '' for a log without samples.
+
+    Args:
+        log: The log.
+        units: Units of series by their keys, where a system knows whether joints turn or slide.
+    """
     drawn = [(key, one) for key, one in log.series.items() if one.valid.any()][:MOST_PANELS]
-    return figure([_panel(log, key, one) for key, one in drawn], 2)
+    return figure([_panel(log, key, one, units.get(key, _unit(key, one))) for key, one in drawn], 2)
 
 
-def _panel(log: Log, key: str, one: Series) -> Panel:
+def _panel(log: Log, key: str, one: Series, unit: str) -> Panel:
     time = log.dt * np.arange(log.steps, dtype=np.float64)
-    factor, unit = shown_unit(_unit(key, one))
+    factor, unit = shown_unit("" if " or " in unit else unit)
     columns = factor * np.where(one.valid[:, None], one.values, np.nan).T
     names = [*one.columns, *map(str, range(len(one.columns), len(columns)))] if len(columns) > 1 else [""]
     lines = [

@@ -30,7 +30,7 @@ from amhe_cli.report.identification import (
     print_identification,
     write_identification,
 )
-from amhe_cli.report.identification_page import identification_page, statements
+from amhe_cli.report.identification_page import Beside, identification_page, statements
 from amhe_cli.system.system import System
 from tests.report.synthetic import fit, identification, parameter
 from tests.view.browser import browser, needs_chromium
@@ -114,7 +114,29 @@ def test_the_page_names_the_command_that_shows_its_result() -> None:
     result = identification(**PLAIN)
     common = {"command": "identify", "version": "0.1.0", "seconds": 1.5, "warnings": []}
     record = common | identification_record(result, TRUTH) | {"out": "my result"}
-    assert "<li>look: amhe view &#39;my result&#39;</li>" in identification_page(result, record, ORIGIN)
+    seen = Beside(page="<p>", link="view.html#clip=2&t=1.5")
+    html = identification_page(result, record, ORIGIN, seen)
+    assert (
+        "<li>look: amhe view &#39;my result&#39;</li>" in html and 'href="view.html#clip=2&amp;t=1.5"' in html
+    )
+    assert "amhe view" not in identification_page(result, record, ORIGIN), "efforts have no view"
+
+
+def test_of_many_parameters_those_that_are_priors_have_a_part_of_their_own() -> None:
+    many = [replace(parameter(3 * (i % 2)), name=f"p{i}") for i in range(30)]
+    names, one = tuple(p.name for p in many), np.ones(30)
+    belief = replace(
+        identification().belief, names=names, units=("-",) * 30, log=(True,) * 30, estimate=one,
+        covariance=np.eye(30),
+    )  # fmt: skip
+    html = page(
+        identification(
+            parameters=tuple(many), belief=belief, correlations=np.eye(30), combinations=(), **PLAIN
+        )
+    )
+    known, _, apart = html.partition('<details id="15-parameters-that-the-logs-hardly-narrow-down"')
+    assert known.count('class="verdict identified">') == 16 and '<td class="name">p1<' not in known
+    assert '<td class="name">p1<' in apart and "p1, p3, p5, p7, p9, p11 and 9 more" in known
 
 
 def test_the_page_stays_small(html: str) -> None:

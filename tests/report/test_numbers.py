@@ -36,6 +36,12 @@ def test_percent(fraction, text) -> None:
     assert numbers.percent(fraction) == text
 
 
+def test_long_lists_are_cut() -> None:
+    assert numbers.some(list("abc")) == "a, b and c"
+    assert numbers.some(list("abcdefg")) == "a, b, c, d, e, f and g"
+    assert numbers.some(list("abcdefgh")) == "a, b, c, d, e, f and 2 more"
+
+
 def test_units() -> None:
     assert numbers.length(0.0092) == "9.2 mm"
     assert numbers.length(math.nan) == "–"
