@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+#: Ends of the settings that hold a parameter at a value that was measured before.
+HELD = (".held", ".held_sd")
 #: Settings that differ from the defaults, as sorted (path, value) pairs: (("control.samples", 16),).
 Setting = tuple[tuple[str, Any], ...]
 
@@ -62,5 +64,9 @@ def _frozen(value: Any) -> Any:
 
 
 def words(setting: Setting) -> str:
-    """The setting as it is typed: 'mhe.samples=8, mhe.window=0.25'; '' for the defaults."""
-    return ", ".join(f"{path}={json.dumps(value)}" for path, value in setting)
+    """The setting as it is typed: 'mhe.samples=8, mhe.window=0.25'; '' for the defaults.
+
+    The numbers of a robot that was identified before are many: they are a word.
+    """
+    typed = [f"{path}={json.dumps(value)}" for path, value in setting if not path.endswith(HELD)]
+    return ", ".join(typed + ["a known robot"] * (len(typed) < len(setting)))

@@ -27,3 +27,5 @@ def test_a_cell_survives_json() -> None:
     assert again.file_name(CODE) == cell.file_name(CODE)
     assert hash(again) == hash(cell)
     assert words(cell.setting) == 'control.refine="never", control.sigma_range=[0.2, 1.0]'
+    known = {"parameters.motor_gain.held": 0.98, "parameters.motor_gain.held_sd": 0.01, "plant": "dry"}
+    assert words(setting_of(known)) == 'plant="dry", a known robot'
