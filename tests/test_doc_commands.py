@@ -72,7 +72,7 @@ def test_commands_and_options_that_a_page_shows_exist(page: Path) -> None:
 ROBOT = """<mujoco model="my_robot"><option timestep="0.005"/><worldbody><body name="fore">
   <joint name="elbow" axis="0 1 0" range="-3 3" damping="0.1" frictionloss="0.02" armature="0.002"/>
   <geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.02" mass="0.3"/></body></worldbody>
-  <actuator><position name="elbow" joint="elbow" kp="4" forcerange="-2 2"/></actuator></mujoco>"""
+  <actuator><position name="elbow" joint="elbow" kp="6" kv="0.4" forcerange="-2 2"/></actuator></mujoco>"""
 
 
 def swing(phase: float) -> str:
@@ -106,7 +106,7 @@ def quick(patch: pytest.MonkeyPatch) -> None:
     """Few clips, and little time: what is tested is that each command works on what those before it made."""
     patch.setenv("AMHE_CLIPS__COUNT", "4")
     patch.setenv("AMHE_IDENTIFY__ITERATIONS", "2")
-    patch.setenv("AMHE_PROBE__CANDIDATES", "2")
+    patch.setenv("AMHE_PROBE__CANDIDATES", "4")
 
 
 RUN = [page for page in user_pages() if list(commands(page.read_text(encoding="utf-8"), "sh"))]
