@@ -12,7 +12,7 @@ from amhe_cli.core.errors import LogError
 from amhe_cli.core.log import Window
 from amhe_cli.engine.inverse import Forces
 from amhe_cli.engine.open import open_engine
-from amhe_cli.estimation.explain.motion import DrivenMotion
+from amhe_cli.estimation.explain.motion import MOST, DrivenMotion
 from amhe_cli.estimation.explain.unexplained import Unexplained, scale_of
 from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.matching.efforts import path_of
@@ -60,26 +60,33 @@ def unexplained_efforts(system: System, parts: Sequence[Window], z: FloatArray) 
     if not made:
         return None
     dofs = sorted({one.channel.columns[0] for _, cost in made for one in cost.clips.observed})
-    columns = [_of_part(cost, part, space.z_of(steps), dofs) for part, cost in made]
+    every = -(-sum(cost.clips.observed[0].rows.shape[1] for _, cost in made) // MOST)
+    columns = [_of_part(cost, part, space.z_of(steps), dofs, every) for part, cost in made]
     states, times, compared, tau, predicted = (list(each) for each in zip(*columns, strict=True))
     moved = [np.concatenate(each) for each in zip(*states, strict=True)]
     counts = np.concatenate(compared)
     left = np.concatenate(predicted, axis=1) - np.concatenate(tau)
     residual = left[0] * counts
     slopes = (left[1:] * counts - residual) / _STEP
-    motion = _motion(system, moved, times, made, dofs)
-    given = np.zeros_like(moved[1])
-    given[:, dofs] = np.concatenate(tau)
-    n, nv = given.shape
+    motion = _motion(system, moved, times, made, dofs, every)
+    needed = np.zeros_like(moved[1])
+    needed[:, dofs] = np.concatenate(predicted, axis=1)[0]
+    n, nv = needed.shape
     idle = np.zeros((n, system.model.nactuator, nv))
     friction = np.tile(system.model.dof_frictionloss, (n, 1))
-    forces = Forces(given, given, idle, friction, np.tile(np.eye(nv), (n, 1, 1)))
+    # no column has what was measured: a model that weighs nothing would explain a torque that is nothing
+    forces = Forces(needed, needed, idle, friction, np.tile(np.eye(nv), (n, 1, 1)))
     rows, toward = counts.any(axis=1), (theta - np.array(space.nominal)) / scale
     return Unexplained(motion, rows, residual, slopes, toward, forces, idle, counts)
 
 
-def _of_part(cost: MatchingCost, part: Window, z: FloatArray, dofs: Sequence[int]):  # type: ignore[no-untyped-def]
-    """Motion, times, which efforts count (s, k), the measured (s, k) and the predicted ones (p, s, k)."""
+def _of_part(  # type: ignore[no-untyped-def]
+    cost: MatchingCost, part: Window, z: FloatArray, dofs: Sequence[int], every: int
+):
+    """Motion, times, which efforts count (s, k), the measured (s, k) and the predicted ones (p, s, k).
+
+    Of the instants only each of so many is taken.
+    """
     along, observed = cost.clips.starts.along, cost.clips.observed
     assert along is not None, "efforts are matched"
     rows = observed[0].rows[0]
@@ -89,15 +96,22 @@ def _of_part(cost: MatchingCost, part: Window, z: FloatArray, dofs: Sequence[int
         k = dofs.index(one.channel.columns[0])
         compared[:, k], tau[:, k] = one.mask[0], one.measured[0, :, 0]
         predicted[..., k] = to_host(values)[:, 0, :, 0]
-    return along.flat, (part.start + 1 + rows) * part.log.dt, compared, tau, predicted
+    some, times = slice(None, None, every), (part.start + 1 + rows) * part.log.dt
+    moved = tuple(one[some] for one in along.flat)
+    return moved, times[some], compared[some], tau[some], predicted[:, some]
 
 
 def _motion(  # type: ignore[no-untyped-def]
-    system: System, moved: Sequence[FloatArray], times: Sequence[FloatArray], made, dofs: Sequence[int]
+    system: System,
+    moved: Sequence[FloatArray],
+    times: Sequence[FloatArray],
+    made,
+    dofs: Sequence[int],
+    every: int,
 ) -> FollowedMotion:
     """The motion of all parts, one after the other."""
     path = path_of(system, made[0][0].log)
-    period, logs = path.every * made[0][0].log.dt, list(dict.fromkeys(part.log for part, _ in made))
+    period, logs = every * path.every * made[0][0].log.dt, list(dict.fromkeys(part.log for part, _ in made))
     qpos, qvel, qacc = moved
     stretches, at = [], 0
     for time in times:

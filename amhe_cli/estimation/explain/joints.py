@@ -17,7 +17,6 @@ from amhe_cli.estimation.explain.candidate import (
     positive,
     says,
     signed,
-    times,
 )
 from amhe_cli.system.model.elements import axis_in
 
@@ -47,21 +46,25 @@ _GRAVITY = 9.81
 
 def joint_causes(maker: CauseMaker) -> Iterator[Cause]:
     """Candidates on each measured degree of freedom; more of hinges and slides."""
+    effort = maker.system.match == "effort"
     hinges = [j for j in maker.moved.values() if j.place >= 0]
     for j in maker.moved.values():
         yield from _numbers(maker, j)
         yield from _in_time(maker, j)
-        if maker.system.match == "effort":
-            words = times("its measured torque acts", "times as given")
-            yield maker.on(j, "torque scale", [j.given], words, "time")
+        if effort:
+            yield maker.on(j, "torque scale", [j.given], _scaled, "time")
     for j in hinges:
         yield from _springs(maker, j)
         yield from _friction(maker, j)
-        yield from _limits(maker, j)
+        yield from _limits(maker, j, forces=not effort)
         yield from _repeating(maker, j)
         for other in hinges:
             if other is not j:
                 yield from _coupling(maker, j, other)
+
+
+def _scaled(c: FloatArray, sd: FloatArray) -> str:
+    return f"its measured torque is {number(1.0 - c[0], sd[0])} times what the motion needs"
 
 
 def _numbers(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
@@ -191,11 +194,11 @@ def _friction(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
         yield maker.on(j, "stribeck", [j.way * np.exp(-((j.v / slow) ** 2))], words, "speed", rising, 0.0)
 
 
-def _limits(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
+def _limits(maker: CauseMaker, j: MeasuredDof, forces: bool) -> Iterator[Cause]:
     """Ends of force and speed, and places where something touches."""
     for quantile in LIMITS:
         top, fast = np.quantile(np.abs(j.given), quantile), np.quantile(np.abs(j.v), quantile)
-        if top > 0.0:
+        if forces and top > 0.0:
             words = says(f"its drive gives no more than about {top:.2g} {j.f}")
             yield maker.on(j, "force limit", [j.given - np.clip(j.given, -top, top)], words, most=0.0)
         beyond = np.sign(j.v) * np.maximum(np.abs(j.v) - fast, 0.0)
