@@ -89,9 +89,10 @@ class Panel {
     const values = (line) => axis === "x" ? [line.x] : [line.y, line.lower ?? [], line.upper ?? []].map((some) => Array.from(some).filter((_, i) => line.x[i] >= this.x[0] && line.x[i] <= this.x[1]));
     const [leads, others] = [true, false].map((lead) => this.lines.filter((line) => (line.leads !== false || time) === lead).flatMap(values));
     if (axis === "y") others.push(this.marks.filter((mark) => mark.axis === "y").flatMap(({ at }) => at));
-    let [low, high] = spread(leads.length ? leads : others);
-    if (leads.length && others.length) {
-      const all = spread(others), most = Math.max(2 * (high - low), 1e-9);
+    const all = spread(others), own = spread(leads);
+    let [low, high] = own ?? all ?? [0, 1];
+    if (own && all) {
+      const most = Math.max(2 * (high - low), 1e-9);
       [low, high] = [Math.max(Math.min(all[0], low), low - most), Math.min(Math.max(all[1], high), high + most)];
     }
     const margin = time || panel.equal ? 0 : (axis === "x" ? 0.03 : 0.08) * (high - low) || 0.1 * Math.abs(high) || 1;
@@ -200,7 +201,7 @@ class Panel {
 function spread(arrays) {
   let low = Infinity, high = -Infinity;
   for (const values of arrays) for (const value of values) if (value !== null && Number.isFinite(value)) { low = Math.min(low, value); high = Math.max(high, value); }
-  return Number.isFinite(low) ? [low, high] : [0, 1];
+  return Number.isFinite(low) ? [low, high] : null;  // of no number
 }
 function nearest(line, distance) {
   let best = null, least = Infinity;
