@@ -94,3 +94,14 @@ def test_of_tables_of_right_numbers_few_have_a_contradiction() -> None:
     rng = np.random.default_rng(2)
     tables = [contradicted(chances(rng.standard_normal(30))).any() for _ in range(1000)]
     assert 0.02 < np.mean(tables) < RATE + 0.02
+
+
+def test_what_another_number_explains_as_well_does_not_stand_out_with_that_left_open() -> None:
+    """The log knows the sum of two numbers, and one of them is wrong."""
+    information, truth, sheet = 1e4 * np.ones((2, 2)), np.array([0.0, 1.0]), np.full(2, 0.1)
+    found = findings(information, truth, sheet, np.zeros(2))
+    groups = {"one": [0], "other": [1]}
+    assert set(outstanding(found, groups, np.zeros(2), sheet, 10.0 * sheet)) == {"one", "other"}
+    assert np.abs(said(found, [0, 1], np.zeros(2), sheet).t).min() > 5.0
+    both = said(found.with_priors(10.0 * sheet), [0, 1], np.zeros(2), sheet)
+    assert not contradicted(chances(both.t)).any()
