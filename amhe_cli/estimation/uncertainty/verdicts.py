@@ -199,6 +199,7 @@ _TEXTS = {
     "will not narrow it",
     "curvature": "the response bends within the interval: its sd is rough, and more data narrow it",
     "search": "the search was still moving",
+    "spread": "its values differ from log to log, and few say little of their mean: more logs narrow it",
     "declared": "identify.model_error says so",
 }
 
