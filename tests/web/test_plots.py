@@ -65,6 +65,7 @@ def opened(chromium: Browser, tmp_path: Path) -> Browser:
         Panel(
             "far", [Curve(time, time, "after"), Curve(np.array([0.0, 1.0, 2.0]), away, "before", leads=False)]
         ),
+        Panel("high", [Curve(time, 100.0 + time)]),
     ]
     (tmp_path / "page.html").write_text(html(*both), encoding="utf-8")
     chromium.open((tmp_path / "page.html").as_uri())
@@ -88,7 +89,7 @@ pytestmark = pytest.mark.medium
 
 @needs_chromium
 def test_the_pointer_reads_the_nearest_sample_of_each_line_and_their_difference(opened: Browser) -> None:
-    first, _, far = pointed(opened, 0, 0.52)  # measured at 0, 0.5, 1, 1.5 and 2
+    first, _, far, _ = pointed(opened, 0, 0.52)  # measured at 0, 0.5, 1, 1.5 and 2
     assert first == "1.00 s0.501.001.10Δ 0.10"
     assert far.startswith("1.00 s"), "panels over the same x go together"
     assert opened.run("document.querySelectorAll('.panel circle').length") == 5
@@ -105,6 +106,15 @@ def test_what_runs_away_leaves_the_picture_and_flattens_nothing(opened: Browser)
     top = opened.run("Math.max(...[...document.querySelectorAll('.panel')[2].querySelectorAll('.axes text')]"
                      ".map((one) => Number(one.textContent)).filter(Number.isFinite))")  # fmt: skip
     assert 2.0 <= top < 10.0
+
+
+@needs_chromium
+def test_an_axis_holds_its_lines_and_marks_and_nothing_else(opened: Browser) -> None:
+    texts = "document.querySelectorAll('.panel')[3].querySelectorAll('.axes text')"
+    numbers = opened.run(f"[...{texts}].map((one) => Number(one.textContent)).filter(Number.isFinite)")
+    high = [one for one in numbers if one > 2.0 or one < 0.0]
+    assert len(high) >= 2 and min(high) >= 99.5 and max(high) <= 102.5
+    assert numbers.count(0.0) <= 1, "only the time begins at 0"
 
 
 @needs_chromium
