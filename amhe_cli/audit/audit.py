@@ -16,7 +16,6 @@ from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.log import Log
 from amhe_cli.core.parameters import ParameterSpace, theta_of
-from amhe_cli.core.settings import Settings
 from amhe_cli.core.statistics import correlation
 from amhe_cli.core.yaml_file import merged
 from amhe_cli.engine.states import home
@@ -133,7 +132,7 @@ def audit(
         EstimationError: No clip of the logs can be used.
     """
     settings = merged({"identify": {"profile_points": 0}}, merged(proposal.settings, settings or {}))
-    worth = Settings.model_validate(settings).identify.assumed
+    worth = proposal.system(name, settings).settings.identify.assumed
     claims = claims_of(proposal, worth)
     if not claims:
         raise ConfigError("the model says no number of a joint that the log measures")

@@ -124,3 +124,5 @@ def test_other_arguments_are_refused(tmp_path: Path, capsys) -> None:
     model, _ = spoilt(tmp_path)
     assert run(["audit", str(model)]) == 2
     assert "RESULT --against FILE" in capsys.readouterr().err
+    assert run(["audit", "example:arm", "example:arm", "--set", "clips.no_such=8"]) == 2
+    assert "no key 'no_such'" in capsys.readouterr().err
