@@ -16,6 +16,7 @@ from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.log import Log
 from amhe_cli.core.parameters import ParameterSpace, theta_of
+from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.core.statistics import correlation
 from amhe_cli.core.yaml_file import merged
 from amhe_cli.engine.states import home
@@ -132,8 +133,11 @@ def audit(
         EstimationError: No clip of the logs can be used.
     """
     settings = merged({"identify": {"profile_points": 0}}, merged(proposal.settings, settings or {}))
-    worth = proposal.system(name, settings).settings.identify.assumed
-    claims = claims_of(proposal, worth)
+    claims = claims_of(proposal, AssumedSettings())
+    if claims:  # a system reads its settings, and says what is wrong with them
+        guesses = [claim.guess(True) for claim in claims]
+        read_for = replace(proposal, parameters=guesses).system(name, settings)
+        claims = claims_of(proposal, read_for.settings.identify.assumed)
     if not claims:
         raise ConfigError("the model says no number of a joint that the log measures")
     doubts, logs = doubts_of(proposal), tuple[Log, ...]()
