@@ -47,6 +47,14 @@ class _Made(BaseModel):
     logs: list[_Reading]
 
 
+class _Found(BaseModel):
+    """What is read of a parameter of a result."""
+
+    name: str
+    verdict: str | None = None
+    start: float | None = None
+
+
 class _Record(BaseModel):
     """What is read of a result.json."""
 
@@ -54,7 +62,7 @@ class _Record(BaseModel):
     command: str
     inputs: _Made | None = None
     fixed: dict[str, float] = {}
-    parameters: list[dict[str, Any]] = []
+    parameters: list[_Found] = []
     noise_scale: dict[str, float | None] = {}
     task: str | None = None
 
@@ -128,7 +136,7 @@ class Viewed:
             LogError: What was recorded cannot be read.
         """
         if self.record.command not in _RECORDED:
-            verdicts = {p["name"]: p["verdict"] for p in self.record.parameters if "verdict" in p}
+            verdicts = {p.name: p.verdict for p in self.record.parameters if p.verdict}
             return {"fitted": self.belief is not None, "belief": known, "verdicts": verdicts}
         from amhe_cli.cli.watching import floor_of
         from amhe_cli.live.recorded import first_belief, recorded_curves
@@ -138,7 +146,7 @@ class Viewed:
         recorded = self.folder / _RECORDED[self.record.command]
         units = {p.name: p.unit for p in system.space.parameters}
         curves, jumps = recorded_curves(recorded, first.start_ns, units)
-        begun = {p["name"]: p.get("start") for p in self.record.parameters} or first_belief(recorded)
+        begun = {p.name: p.start for p in self.record.parameters} or first_belief(recorded)
         shown = {
             "curves": curves,
             "events": jumps,

@@ -134,6 +134,7 @@ def numbers(text: str) -> np.ndarray:
         ({"schema_version": 2}, "is no result of this amhe"),
         ({"fixed": [1]}, "is no result of this amhe"),
         ({"fixed": "x"}, "is no result of this amhe"),
+        ({"parameters": [{"verdict": "weak"}]}, "is no result of this amhe"),
         ({"fixed": {"damping": None}}, "is no result of this amhe"),
         ({"command": "eval"}, "of `amhe eval`"),
         ({"inputs": None}, "run `amhe identify` again"),
