@@ -162,7 +162,7 @@ def _write(
     written.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
     written.forcerange = [-float(f"{servo.limit:.4g}"), float(f"{servo.limit:.4g}")]
     firmware = (one.punch, one.dead_band, None, servo.kv, servo.volts)
-    SERVOS.add(spec, [actuator], [number or 0.0 for number in firmware])
+    SERVOS.add(spec, [actuator], np.array([number or 0.0 for number in firmware]))
     return f"the model's {actuator} is a {one.name} now: {kp:.3g} N m/rad, at most {servo.limit:.3g} N m"
 
 

@@ -56,8 +56,8 @@ def said_before(system: System, more: Iterable[Finding], console: Console | None
     """
     found = worst_first([*check_model(system.model), *more])
     if found and console:
-        more = f"; `amhe check` says more of the other {len(found) - _FEW}" if len(found) > _FEW else ""
-        console.print(f"first of all, {_doubts(len(found))}{more}:", soft_wrap=True)
+        others = f"; `amhe check` says more of the other {len(found) - _FEW}" if len(found) > _FEW else ""
+        console.print(f"first of all, {_doubts(len(found))}{others}:", soft_wrap=True)
         print_findings(found, console, _FEW)
         console.print()
     return [asdict(one) for one in found]

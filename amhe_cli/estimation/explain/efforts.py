@@ -76,7 +76,7 @@ def unexplained_efforts(system: System, parts: Sequence[Window], z: FloatArray) 
     friction = np.tile(system.model.dof_frictionloss, (n, 1))
     # no column has what was measured: a model that weighs nothing would explain a torque that is nothing
     forces = Forces(needed, needed, idle, friction, np.tile(np.eye(nv), (n, 1, 1)))
-    rows, toward = counts.any(axis=1), (theta - np.array(space.nominal)) / scale
+    rows, toward = np.any(counts, axis=1), (theta - np.array(space.nominal)) / scale
     return Unexplained(motion, rows, residual, slopes, toward, forces, idle, counts)
 
 

@@ -178,7 +178,8 @@ class Regression:
             best = min(alike, key=lambda i: (candidates[i].numbers, -total[i]))  # the simplest of them
             chosen.append(best)
             rows[best] = total[best] / own[best], tuple(i for i in alike if i != best)
-        chosen = self._needed(chosen, weighted, signs, least)
+        if least is not None:
+            chosen = self._needed(chosen, weighted, signs, least)
         x = self._beside(chosen, weighted)
         values, sd = self._fitted(x)
         found, at = [], len(self._x)

@@ -270,7 +270,7 @@ def _gain(
     """Gain of a step, information that counts, and weight of the prior, each (d, d)."""
     matrix = problem.share * problem.settings.information * found.matrix[0]
     weights = problem.settings.weights(problem.cost.system.space.names)
-    weighted = np.linalg.inv(prior.covariance) + np.diag(weights)
+    weighted = np.asarray(np.linalg.inv(prior.covariance) + np.diag(weights), dtype=np.float64)
     return np.asarray(np.linalg.inv(matrix + weighted), dtype=np.float64), matrix, weighted
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.estimation.core.result import HeldOut, HorizonError
+from amhe_cli.estimation.core.result import HeldOut, SpanError
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.uncertainty.fit import FinalFit
 from amhe_cli.matching.efforts import path_of
@@ -48,7 +48,7 @@ def told(
     )
 
 
-def _missed(problem: Problem, held_out: HeldOut | None) -> dict[int, HorizonError | None]:
+def _missed(problem: Problem, held_out: HeldOut | None) -> dict[int, SpanError | None]:
     """Degrees of freedom whose efforts are compared, and how these are missed, where that is known."""
     errors = {one.channel: one for one in held_out.errors} if held_out else {}
     log = problem.clips[0].log
@@ -61,7 +61,7 @@ def _joints(
     z: FloatArray,
     covariance: FloatArray,
     speed: FloatArray,
-    missed: Mapping[int, HorizonError | None],
+    missed: Mapping[int, SpanError | None],
 ) -> Iterator[str]:
     """'elbow: friction known to 4 %, inertia in 3 of 10 combinations, torque misses 0.3 N m'."""
     places = {name: i for i, name in enumerate(system.space.names)}

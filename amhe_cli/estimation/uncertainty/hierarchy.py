@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.estimation.core.result import OwnSpread
 from amhe_cli.estimation.uncertainty.ledger import Ledger, term_of
@@ -109,7 +109,7 @@ class WithMeans:
     next_log: FloatArray
     spreads: tuple[OwnSpread, ...] = ()
 
-    def of(self, values: FloatArray) -> FloatArray:
+    def of(self, values: FloatArray | BoolArray) -> FloatArray:
         """Numbers of the unknowns (d,) for the lines (k,), that of a common mean being a mean."""
         return np.array([np.mean(values[list(rows)], axis=0) for rows in self.rows]).reshape(
             -1, *values.shape[1:]

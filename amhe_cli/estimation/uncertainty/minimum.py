@@ -65,7 +65,8 @@ class Rival:
     def against(self, z: FloatArray) -> Rival | None:
         """The estimate z (d,) whose place these values take; None where the logs exclude it then."""
         share = 1.0 - self.share
-        return Rival(z, share, self.differs, self.costs[::-1]) if share > EXCLUDED else None
+        costs = self.costs[1], self.costs[0]
+        return Rival(z, share, self.differs, costs) if share > EXCLUDED else None
 
     def text(self, space: ParameterSpace, i: int) -> str:
         """The other value of one parameter, in words."""

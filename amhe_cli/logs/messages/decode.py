@@ -161,9 +161,12 @@ class SignalDecoder:
 
         What is missing is NaN.
         """
-        *stamps, order = (parts.whole() for parts in self._stamps.values())
+        log_ns, publish_ns, header_ns, delay_ns, order = (parts.whole() for parts in self._stamps.values())
         values = {quantity: parts.whole() for quantity, parts in self._values.items()}
-        joined = SignalSamples(*stamps, values, self._columns, self._has_header, self.info.twist_in_child)
+        joined = SignalSamples(
+            log_ns, publish_ns, header_ns, delay_ns,
+            values, self._columns, self._has_header, self.info.twist_in_child,
+        )  # fmt: skip
         self._begin()
         if np.all(np.diff(joined.log_ns) >= 0) and np.all(np.diff(order) > 0):  # as in most logs
             return joined
@@ -234,7 +237,7 @@ class SignalDecoder:
         found = [layout.columns(prefix + path) for path in self.info.fields[quantity]]
         if self.info.names is not None:
             return self._by_name(layout, found[0], quantity)
-        leaves = [leaf for leaves in found for leaf in leaves]
+        leaves: list[Leaf | None] = [leaf for leaves in found for leaf in leaves]
         if quantity in self._signal.fields:
             self._met |= {path for path in self.info.fields[quantity] if layout.columns(path)}
             self._last = layout
@@ -256,7 +259,9 @@ class SignalDecoder:
         place = dict(zip(names, array, strict=True))
         return [place.get(name) for name in self._names]
 
-    def _sized(self, quantity: str, names: tuple[str, ...], leaves: Sequence[Leaf]) -> list[Leaf | None]:
+    def _sized(
+        self, quantity: str, names: tuple[str, ...], leaves: Sequence[Leaf | None]
+    ) -> list[Leaf | None]:
         """Hold every message to the number of columns that the first one had."""
         fixed = self._columns.setdefault(quantity, names) if leaves else self._columns.get(quantity, ())
         if len(fixed) == len(leaves):

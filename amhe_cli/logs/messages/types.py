@@ -46,9 +46,11 @@ def _pose(at: str) -> TypeInfo:
     return _at(position=f"{at}.position", orientation=f"{at}.orientation")
 
 
+def _transform(at: str = "", elements: str | None = None) -> TypeInfo:
+    return _at(elements=elements, position=f"{at}translation", orientation=f"{at}rotation")
+
+
 _POINT_POSE = _at(position="position", orientation="orientation")
-_TRANSFORM = {"position": "transform.translation", "orientation": "transform.rotation"}
-_FOXGLOVE_TRANSFORM = {"position": "translation", "orientation": "rotation"}
 _IMU = _at(
     orientation="orientation", angular_velocity="angular_velocity", linear_acceleration="linear_acceleration"
 )
@@ -60,8 +62,8 @@ _FOXGLOVE = {
     "Imu": _IMU,
     "Pose": _POINT_POSE,
     "PoseInFrame": _pose("pose"),
-    "FrameTransform": _at(**_FOXGLOVE_TRANSFORM),
-    "FrameTransforms": _at(elements="transforms", **_FOXGLOVE_TRANSFORM),
+    "FrameTransform": _transform(),
+    "FrameTransforms": _transform(elements="transforms"),
     "JointState": _JOINT_STATE,
     "JointStates": _JOINT_STATE,
     "Odometry": _at(
@@ -81,9 +83,9 @@ TYPES: Mapping[str, TypeInfo] = {
     "geometry_msgs/msg/PoseStamped": _pose("pose"),
     "geometry_msgs/msg/PoseWithCovarianceStamped": _pose("pose.pose"),
     "geometry_msgs/msg/PointStamped": _at(position="point"),
-    "geometry_msgs/msg/TransformStamped": _at(**_TRANSFORM),
-    "tf2_msgs/msg/TFMessage": _at(elements="transforms", **_TRANSFORM),
-    "tf/msg/tfMessage": _at(elements="transforms", **_TRANSFORM),
+    "geometry_msgs/msg/TransformStamped": _transform("transform."),
+    "tf2_msgs/msg/TFMessage": _transform("transform.", "transforms"),
+    "tf/msg/tfMessage": _transform("transform.", "transforms"),
     "geometry_msgs/msg/Twist": _at(linear_velocity="linear", angular_velocity="angular"),
     "geometry_msgs/msg/TwistStamped": _at(linear_velocity="twist.linear", angular_velocity="twist.angular"),
     "geometry_msgs/msg/TwistWithCovarianceStamped": _at(

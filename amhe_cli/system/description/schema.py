@@ -172,7 +172,7 @@ class SystemEntry(_Entry):
         """Settings of the robot are checked where the robot is known: here they are left out."""
         if not isinstance(data, dict) or not isinstance(data.get("settings"), Mapping):
             return data
-        others = set(robot_groups(data)) - set(cls.model_fields["settings"].annotation.model_fields)
+        others = set(robot_groups(data)) - set(type(cls.model_fields["settings"].default).model_fields)
         general = {key: value for key, value in data["settings"].items() if key not in others}
         return data | {"settings": general}
 

@@ -90,9 +90,9 @@ def spec_of(model: mujoco.MjSpec | str | Path, urdf: UrdfOptions | None = None) 
     Raises:
         ConfigError: There is no such file, or it cannot be read.
     """
-    if isinstance(model, mujoco.MjSpec):
+    if not isinstance(model, str | Path):
         return model.copy()
-    if not (isinstance(model, str | Path) and Path(model).is_file()):
+    if not Path(model).is_file():
         raise ConfigError(f"`model`: there is no file {str(model)!r}; give an MJCF, a URDF or an MjSpec")
     return read_spec(Path(model), urdf)
 

@@ -190,7 +190,10 @@ class Stroll(Helm):
 class WalkTask(ProbeTask):
     """Free walking; the box stands where the robot does not come."""
 
-    pushes = False
+    @property
+    def pushes(self) -> bool:
+        """See `Task.pushes`."""
+        return False
 
     def behaviour(self, gait: Gait = _GAIT) -> Walking:
         """See `Task.behaviour`."""
