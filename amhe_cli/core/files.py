@@ -32,7 +32,11 @@ def check_regular(path: Path, folder: Path | None = None) -> None:
     """
     if folder is not None and not path.resolve().is_relative_to(folder.resolve()):
         raise ConfigError(f"{path}: a link that leads out of {folder}; put the file itself in its place")
-    if path.exists() and not path.is_file() and not path.is_dir():
+    try:
+        other = path.exists() and not path.is_file() and not path.is_dir()
+    except OSError as error:  # a name that no file can have
+        raise ConfigError(f"{path.name[:40]} ...: {error.strerror}; give another name") from None
+    if other:
         raise ConfigError(f"{path}: a pipe or a device, no file; save its content in a file")
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from amhe_cli.core.errors import AmheError
-from amhe_cli.core.files import filling, plain, whole, write_whole
+from amhe_cli.core.errors import AmheError, ConfigError
+from amhe_cli.core.files import check_regular, filling, plain, whole, write_whole
 
 
 def test_a_file_that_fails_half_way_leaves_the_old_one_and_no_scratch(tmp_path: Path) -> None:
@@ -66,3 +66,8 @@ def test_a_full_disk_is_said_of_what_is_written(tmp_path: Path) -> None:
     with pytest.raises(OSError) as error, filling(tmp_path / "out"):
         raise OSError(errno.ENOSPC, "No space left on device")
     assert error.value.filename == str(tmp_path / "out")
+
+
+def test_a_name_that_no_file_can_have_is_one_line() -> None:
+    with pytest.raises(ConfigError, match=r"^9{40} \.\.\.: File name too long; give another name$"):
+        check_regular(Path("9" * 400))
