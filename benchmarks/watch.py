@@ -1,24 +1,28 @@
-"""`amhe watch` beside simulated arms that publish over DDS on loopback: jumps, errors, delays, false alarms.
+"""`amhe watch` beside simulated arms that publish on loopback: jumps, errors, delays, false alarms.
 
 Each arm (`examples/ros2_arm.py`) and each watch is a process of its own, on a domain of its own. All numbers
 are those of somebody who listens to the topics that the watch publishes. A payload is put on half of the
 arms; the others never change.
 
-    python benchmarks/watch.py --arms 4 --seconds 120
+    python benchmarks/watch.py --arms 4 --seconds 120 [--transport zenoh]
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
 import time
 from collections import defaultdict
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -26,6 +30,8 @@ import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
 from amhe_cli.logs.live.dds import Dds
+from amhe_cli.logs.live.transport import Transport
+from amhe_cli.logs.live.zenoh import Zenoh
 from amhe_cli.logs.messages.definitions import Definitions
 
 PROJECT = Path(__file__).resolve().parent.parent
@@ -52,7 +58,7 @@ class Heard:
     load: float = 0.0
 
 
-def watched(number: int, seconds: float, at: float) -> tuple[Heard, float]:
+def watched(number: int, seconds: float, at: float, router: str) -> tuple[Heard, float]:
     """Run an arm and its watch; what was heard, and when the payload was put on, infinite if it was not."""
     domain, python = str(FIRST_DOMAIN + number), [sys.executable, "-u"]
     env = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join((str(PROJECT), *sys.path))}
@@ -60,12 +66,16 @@ def watched(number: int, seconds: float, at: float) -> tuple[Heard, float]:
     arm += ["--seconds", str(seconds + 60.0), "--at", str(at), "--payload", str(PAYLOAD)]
     watch = [*python, "-m", "amhe_cli", "watch", "--system", "pendulum", "--source", "ros2", "-q"]
     watch += ["--domain", domain, "--set", "live.interface=127.0.0.1"]
+    if router:
+        arm += ["--transport", "zenoh", "--connect", router]
+        watch[watch.index("ros2")] = "zenoh"
+        watch += ["--connect", router]
     with (
         tempfile.TemporaryDirectory() as folder,
         subprocess.Popen(arm, stdout=subprocess.PIPE, text=True, env=env) as robot,
         subprocess.Popen([*watch, "-o", f"{folder}/out"], env=env, stdout=subprocess.DEVNULL) as process,
     ):
-        heard = listened(int(domain), process.pid, seconds)
+        heard = listened(int(domain), process.pid, seconds, router)
         process.send_signal(signal.SIGTERM)
         process.wait(60.0)
         robot.terminate()
@@ -73,10 +83,14 @@ def watched(number: int, seconds: float, at: float) -> tuple[Heard, float]:
     return heard, float(said[1]) if said else np.inf
 
 
-def listened(domain: int, pid: int, seconds: float) -> Heard:
+def listened(domain: int, pid: int, seconds: float, router: str) -> Heard:
     """Listen to the watch of a process for so long."""
     store, heard = get_typestore(Stores.LATEST), Heard()
-    transport = Dds({"/amhe/params", "/amhe/jump"}, Definitions(), domain, "127.0.0.1")
+    topics = {"/amhe/params", "/amhe/jump"}
+    if router:
+        transport: Transport = Zenoh(topics, Definitions(), domain, router)
+    else:
+        transport = Dds(topics, Definitions(), domain, "127.0.0.1")
     begun = time.monotonic()
     spent = 0.0
     while (passed := time.monotonic() - begun) < seconds:
@@ -95,6 +109,28 @@ def listened(domain: int, pid: int, seconds: float) -> Heard:
     transport.close()
     heard.load = spent / seconds
     return heard
+
+
+@contextmanager
+def routing(wanted: bool) -> Iterator[str]:
+    """A router of Zenoh, and where it listens; '' without one."""
+    if not wanted:
+        yield ""
+        return
+    import zenoh
+
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        where = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    config = zenoh.Config()
+    for key, value in (
+        ("mode", "router"),
+        ("listen/endpoints", [where]),
+        ("scouting/multicast/enabled", False),
+    ):
+        config.insert_json5(key, json.dumps(value))
+    with zenoh.open(config):
+        yield where
 
 
 def children(pid: int) -> list[int]:
@@ -136,10 +172,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--arms", type=int, default=4)
     parser.add_argument("--seconds", type=float, default=120.0)
+    parser.add_argument("--transport", choices=("dds", "zenoh"), default="dds")
     chosen = parser.parse_args()
     ends = [chosen.seconds / 2.0 if number % 2 else 1e9 for number in range(chosen.arms)]
-    with ThreadPoolExecutor(chosen.arms) as pool:
-        found = list(pool.map(watched, range(chosen.arms), [chosen.seconds] * chosen.arms, ends))
+    with ThreadPoolExecutor(chosen.arms) as pool, routing(chosen.transport == "zenoh") as router:
+        seconds, where = ([one] * chosen.arms for one in (chosen.seconds, router))
+        found = list(pool.map(watched, range(chosen.arms), seconds, ends, where))
     table = [judged(*one) for one in found]
     for row in table:
         print(", ".join(f"{name} {value:.3g}" for name, value in row.items()))
