@@ -38,7 +38,7 @@ def main() -> None:
     """Write docs/figures/overview.png."""
     path = FIGURES / "overview.png"
     with TemporaryDirectory(ignore_cleanup_errors=True) as scratch, browser(Path(scratch)) as one:
-        one.open(Path(sys.argv[1]).resolve().as_uri(), 1280, 890)
+        one.open(Path(sys.argv[1]).resolve().as_uri(), 1280, 800)
         one.run(ARRANGED % b64encode((FIGURES / "t1.jpg").read_bytes()).decode())
         picture = Image.open(one.picture(path))
     picture.convert("RGB").quantize(256).save(path, optimize=True)
