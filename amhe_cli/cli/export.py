@@ -12,7 +12,7 @@ _SHOWN = 2
 
 
 @command(
-    "A belief for other tools: MJCF, URDF, samples, trainings, loads of arms.",
+    "A belief for other tools: MJCF, URDF, trainings, arms' loads.",
     argument("belief", FILE, metavar="BELIEF"),
     option(
         "--to",

@@ -256,7 +256,7 @@ def test_a_study_goes_seed_by_seed_and_leaves_out_what_does_not_exist() -> None:
 
 def test_an_ablated_value_that_is_the_operating_point_is_the_same_cell() -> None:
     options = EvalOptions(
-        ["t4"], [], 2, ["control.samples=8,16", "control.sigma_range=[0.2,1.0]", "samples=8,32"]
+        ["t4"], [], 2, ablations=["control.samples=8,16", "control.sigma_range=[0.2,1.0]", "samples=8,32"]
     )
     cells = planned(options, study_of(options, "", "", {}))
     settings = [
@@ -268,14 +268,14 @@ def test_an_ablated_value_that_is_the_operating_point_is_the_same_cell() -> None
 
 
 def test_a_setting_that_does_nothing_is_not_ablated() -> None:
-    options = EvalOptions(["t4"], [], 1, ["alpha=0.3,0.5"])
+    options = EvalOptions(["t4"], [], 1, ablations=["alpha=0.3,0.5"])
     with pytest.raises(ConfigError, match=r"learning_rate: it does nothing .* linearised; set mhe.method=l"):
         list(planned(options, study_of(options, "", "", {})))
 
 
 def test_the_papers_seven_have_their_own_symbols_and_a_value_at_the_operating_point() -> None:
     symbols = ["L_MHE=9", "B=9", "dt_update=0.9", "H=0.9", "alpha=0.9", "w_mass=0.9", "w_friction=0.9"]
-    options = EvalOptions(["t4"], [], 1, symbols, settings={"mhe": {"method": "logrank"}})
+    options = EvalOptions(["t4"], [], 1, ablations=symbols, settings={"mhe": {"method": "logrank"}})
     study = study_of(options, "", "", {})
     changed = [set(cell.setting) - set(study.setting) for cell in planned(options, study)]
     paths = [path for change in changed for path, _ in change]

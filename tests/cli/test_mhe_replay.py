@@ -148,7 +148,7 @@ def test_the_options_tell_the_defaults_of_the_library_and_of_go1_push() -> None:
     for name in ("method", "learning_rate"):
         assert f"[default: {getattr(general, name)}]" in options[name].help  # type: ignore[attr-defined]
     for name in ("window", "update_period"):
-        text = f"[default: {getattr(general, name)}; of go1_push {getattr(go1, name)}]"
+        text = f"[default: {getattr(general, name)}; of go1_push {getattr(go1, name)}"
         assert text in options[name].help  # type: ignore[attr-defined]
     for name, count in (("samples", "sample_count"), ("iterations", "iteration_count")):
         ours, papers = (getattr(MheSettings(method=m), count) for m in ("linearised", "logrank"))

@@ -33,10 +33,12 @@ class History:
     Args:
         task: The task.
         estimates: Estimates of the online estimator, in adaptive runs.
+        compares: Whether a robot is noticed that is another one than its model; a rehearsal's never is.
     """
 
     task: Task
     estimates: list[Estimate] = field(default_factory=list)
+    compares: bool = True
     _troubles: dict[str, list[float]] = field(default_factory=dict)
     _rows: list[dict[str, float]] = field(default_factory=list)
     _last: Cycle | None = None
@@ -58,7 +60,7 @@ class History:
         """Say if the joints of a robot that walks freely are not where its model expects them."""
         expected = self._last.plan.expected if self._last else None
         at = cycle.plan.reference
-        if not self.task.pushes or expected is None or at is None or at.pushing:
+        if not (self.compares and self.task.pushes) or expected is None or at is None or at.pushing:
             return
         if cycle.time > _FREE and abs(expected.time - cycle.time) < 1e-6:
             self._missed.append(cycle.estimate.joints - expected.joints)

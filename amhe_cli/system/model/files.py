@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import cast
 
 import mujoco
 import numpy as np
@@ -90,9 +91,9 @@ def spec_of(model: mujoco.MjSpec | str | Path, urdf: UrdfOptions | None = None) 
     Raises:
         ConfigError: There is no such file, or it cannot be read.
     """
-    if not isinstance(model, str | Path):
-        return model.copy()
-    if not Path(model).is_file():
+    if isinstance(model, mujoco.MjSpec):
+        return cast("mujoco.MjSpec", model).copy()
+    if not (isinstance(model, str | Path) and Path(model).is_file()):
         raise ConfigError(f"`model`: there is no file {str(model)!r}; give an MJCF, a URDF or an MjSpec")
     return read_spec(Path(model), urdf)
 

@@ -232,7 +232,7 @@ class PushProbe:
         attend: Attend = _nobody,
     ) -> Ending:
         """Run to the end and record; a fall is an end too."""
-        history = History(run.task)
+        history = History(run.task, compares=False)
         with recorder_of(run, path) as recorder, attend(run.target, recorder, history):
             ending = drive(
                 run.episode, recorder, history, stopped, lambda _, row: say(f"pushing, {row['time']:.1f} s")
