@@ -53,6 +53,7 @@ def main() -> None:
             text = (folder / name / f"{page}.html").read_text(encoding="utf-8")
             for other in ("report", "view"):
                 text = text.replace(f'"{other}.html', f'"{name}-{other}.html')
+            text = text.replace(f"{DOCS.resolve().parent}/", "")  # no path of the computer that made them
             (DOCS / "gallery" / f"{name}-{page}.html").write_text(text, encoding="utf-8")
     with TemporaryDirectory(ignore_cleanup_errors=True) as scratch, browser(Path(scratch)) as one:
         for picture, (page, part, height) in PICTURES.items():
