@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 from common import over_seeds, seeds_of, show
-from honesty import EXACT, KINDS, NAMES, WRONG, place
-from plants import PROBLEMS
+from honesty import KINDS, NAMES, case_of, place
 
 import amhe_cli as amhe
 from amhe_cli.estimation.design.expected import expected
@@ -31,12 +30,7 @@ CLAIMED = ("identified", "conditional")
 def trial(number: int) -> dict[str, Any]:
     """Look at one log, and then fit it."""
     logging.disable(logging.WARNING)
-    rest, of_kind = divmod(number, len(KINDS))
-    seed, index = divmod(rest, len(NAMES))
-    name, kind = NAMES[index], KINDS[of_kind]
-    made = PROBLEMS[name].case(name, seed, kind == WRONG)
-    if kind == EXACT:
-        made = made.exact()
+    name, kind, seed, made = case_of(number)
     logs = [made.logs] if isinstance(made.logs, amhe.Log) else list(made.logs)
     began = time.process_time()
     hope = {p.name: p for p in expected(made.system, logs, seed=seed).parameters}

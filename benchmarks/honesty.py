@@ -38,15 +38,19 @@ def place(name: str, kind: str, seed: int) -> int:
     return (seed * len(NAMES) + NAMES.index(name)) * len(KINDS) + KINDS.index(kind)
 
 
-def trial(number: int) -> dict[str, Any]:
-    """Identify one log, as a user would."""
-    logging.disable(logging.WARNING)
+def case_of(number: int) -> tuple[str, str, int, Any]:
+    """Problem, kind, seed and case of a trial's number: the inverse of `place`."""
     rest, of_kind = divmod(number, len(KINDS))
     seed, index = divmod(rest, len(NAMES))
     name, kind = NAMES[index], KINDS[of_kind]
     made = PROBLEMS[name].case(name, seed, kind == WRONG)
-    if kind == EXACT:
-        made = made.exact()
+    return name, kind, seed, made.exact() if kind == EXACT else made
+
+
+def trial(number: int) -> dict[str, Any]:
+    """Identify one log, as a user would."""
+    logging.disable(logging.WARNING)
+    name, kind, seed, made = case_of(number)
     began = time.process_time()
     result = amhe.identify(made.system, made.logs, seed=seed, threads=1)
     return {

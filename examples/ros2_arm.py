@@ -122,6 +122,22 @@ def sender_of(chosen: argparse.Namespace) -> Callable[[str, float, Any, Any], No
     return send
 
 
+def zeros(store: Any, kind: str) -> Any:
+    """A message of zeros, of a type that a store of rosbags knows."""
+    values = {}
+    for name, (node, detail) in store.fielddefs[kind][1]:
+        element, size = detail if node == Nodetype.ARRAY else ((node, detail), 0)
+        plain = element[0] == Nodetype.BASE
+        if size:
+            number = element[1][0]
+            values[name] = (
+                np.zeros(size, number) if plain else [zeros(store, element[1]) for _ in range(size)]
+            )
+        else:
+            values[name] = 0 if plain else zeros(store, element[1])
+    return store.types[kind](**values)
+
+
 def unitree(transport: Any) -> Callable[[str, float, Any, Any], None]:
     """Sends state and command of a Unitree robot's first motor; they have no stamp."""
     store = get_typestore(Stores.EMPTY)
@@ -129,20 +145,7 @@ def unitree(transport: Any) -> Callable[[str, float, Any, Any], None]:
         name = f"unitree_go/msg/{kind}"
         store.register(get_types_from_msg(Definitions().described(name)[0], name))
 
-    def zero(kind: str) -> Any:
-        """A message of zeros."""
-        values = {}
-        for name, (node, detail) in store.fielddefs[kind][1]:
-            element, size = detail if node == Nodetype.ARRAY else ((node, detail), 0)
-            plain = element[0] == Nodetype.BASE
-            if size:
-                number = element[1][0]
-                values[name] = np.zeros(size, number) if plain else [zero(element[1]) for _ in range(size)]
-            else:
-                values[name] = 0 if plain else zero(element[1])
-        return store.types[kind](**values)
-
-    state, command = zero("unitree_go/msg/LowState"), zero("unitree_go/msg/LowCmd")
+    state, command = (zeros(store, f"unitree_go/msg/{kind}") for kind in ("LowState", "LowCmd"))
 
     def send(topic: str, stamp: float, position: Any, velocity: Any) -> None:
         if topic == "/joint_states":

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from amhe_cli.core.errors import ConfigError
@@ -20,6 +19,7 @@ from amhe_cli.logs.containers.raw import Batch
 from amhe_cli.logs.live.messages import LiveSource
 from amhe_cli.logs.live.ros import RosTransport, dds_type, renamed, ros_type
 from amhe_cli.logs.messages.definitions import Definitions
+from examples.ros2_arm import zeros
 
 KIND = "sensor_msgs/msg/JointState"
 
@@ -73,10 +73,10 @@ def test_the_low_state_of_a_unitree_robot_is_read_without_its_definitions() -> N
     kind, definitions = "unitree_go/msg/LowState", Definitions()
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(definitions.described(kind)[0], kind))
-    make = store.types["unitree_go/msg/MotorState"]
-    zeros = dict.fromkeys(("ddq", "tau_est", "q_raw", "dq_raw", "ddq_raw", "temperature", "lost"), 0)
-    motors = [make(mode=1, q=k, dq=-k, **zeros, reserve=np.zeros(2, np.uint32)) for k in range(20)]
-    message = bytes(store.serialize_cdr(filled(store, kind, motor_state=motors), kind))
+    state = zeros(store, kind)
+    for k, motor in enumerate(state.motor_state):
+        motor.q = float(k)
+    message = bytes(store.serialize_cdr(state, kind))
     fields = {"position": tuple(f"motor_state[{k}].q" for k in range(12))}
     legs = Signal("legs", "/lowstate", ("position",), kind, tuple(map(str, range(12))), fields=fields)
     transport = Dds({"/lowstate"}, definitions, 79, "127.0.0.1")
@@ -89,17 +89,6 @@ def test_the_low_state_of_a_unitree_robot_is_read_without_its_definitions() -> N
         transport.close()
     np.testing.assert_array_equal(samples["legs.position"][1][0], np.arange(12))
     assert source.events() == []
-
-
-def filled(store: Any, kind: str, **given: Any) -> Any:
-    """A message whose other numbers are zero."""
-    values = {}
-    for name, (node, detail) in store.fielddefs[kind][1]:
-        inner, size = detail if node == Nodetype.ARRAY else ((node, detail), None)
-        number = np.dtype(inner[1][0]) if inner[0] == Nodetype.BASE else None
-        zero = filled(store, inner[1]) if number is None else number.type(0)
-        values[name] = zero if size is None else np.zeros(size, number)
-    return store.types[kind](**values | given)
 
 
 def routing(where: str) -> Any:
