@@ -218,7 +218,7 @@ class MheSettings(SettingsGroup):
     while the true box is heavy."""
     jump: Positive = 3.0
     """Distance between the estimate of one window alone and the belief that indicates a jump of the
-    parameters, in sd."""
+    parameters, in sd of a single number that is as unlikely."""
     jump_windows: Annotated[int, Field(ge=1)] = 1
     """Number of such windows in a row that are needed for a jump. A single one may come from a contact that
     the model missed."""

@@ -53,6 +53,20 @@ def log_rank_weights(rank: FloatArray, count: FloatArray) -> FloatArray:
     return np.where(rank <= count, np.log(count + 0.5) - np.log(np.maximum(rank, 1.0)), 0.0)
 
 
+def sd_of_one(square: float, freedom: float) -> float:
+    """Distance in sd of a single number that is as unlikely as a chi-square value.
+
+    By the cube root, which is about normal (Wilson and Hilferty 1931, "The distribution of chi-square").
+
+    Args:
+        square: The chi-square value.
+        freedom: Its degrees of freedom, which need not be whole.
+    """
+    cube, of_one = 2.0 / (9.0 * freedom), 2.0 / 9.0
+    normal = ((square / freedom) ** (1.0 / 3.0) - 1.0 + cube) / np.sqrt(cube)
+    return float(max(1.0 - of_one + np.sqrt(of_one) * normal, 0.0) ** 1.5)
+
+
 def root(covariance: FloatArray) -> FloatArray:
     """The symmetric root of a covariance (d, d)."""
     values, vectors = np.linalg.eigh(covariance)

@@ -56,3 +56,16 @@ def test_among_many_numbers_one_must_be_farther_out_to_surprise():
     limit = statistics.among(49, 2.0)  # one of 44 logs of one parameter, so one of 44 logs of 49
     beyond = (np.abs(np.random.default_rng(0).standard_normal((20_000, 49))) > limit).any(axis=1).mean()
     assert beyond == pytest.approx(0.0455, abs=0.006)
+
+
+@pytest.mark.parametrize(("freedom", "square"), [(1, 9.0), (2, 11.829), (10, 26.90), (98, 141.5)])
+def test_a_chi_square_value_is_an_sd_of_one_number_that_is_as_unlikely(freedom: int, square: float) -> None:
+    """Each of these is exceeded with the probability of 3 sd, 0.27 %."""
+    assert statistics.sd_of_one(square, freedom) == pytest.approx(3.0, abs=0.05)
+
+
+def test_one_number_keeps_its_sd_and_what_is_no_surprise_has_none() -> None:
+    assert [statistics.sd_of_one(x**2, 1.0) for x in (0.0, 0.5, 3.0, 12.0)] == pytest.approx(
+        [0.0, 0.5, 3.0, 12.0]
+    )
+    assert statistics.sd_of_one(30.0, 98.0) == 0.0

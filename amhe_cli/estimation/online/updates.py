@@ -15,7 +15,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, to_host
 from amhe_cli.core.settings import MheSettings
-from amhe_cli.core.statistics import log_rank_weights
+from amhe_cli.core.statistics import log_rank_weights, sd_of_one
 from amhe_cli.estimation.core.information import (
     Information,
     channel_times,
@@ -135,8 +135,8 @@ class WindowFit:
         information: Information of the window on z, the nuisances marginalised; None where too many samples
             diverged.
         noise: Noise of the windows up to this one.
-        innovation: Normalised innovation: distance of the window's own estimate from the prior, in sd of
-            both; 0 where its own fit leaves most of the residuals, since no parameters explain them.
+        innovation: See `innovation`; 0 where the window's own fit leaves most of the residuals, since no
+            parameters explain them.
         excitation: Rms change of the predictions under the samples, in noise sd.
         slope: Slopes of the fitted residuals by z, the nuisances moved along, shape (d, R); empty where too
             many samples diverged.
@@ -180,16 +180,34 @@ def fit_window(problem: WindowProblem, z: FloatArray) -> WindowFit:
     noise, square = _remembered(problem.noise, cost, left)
     found, slope, step, left = fitted(left, noise.at_least(square))
     explained = (left**2).sum() <= _JUMP_LEAVES * (found.residual**2).sum()
-    alone = np.linalg.inv(problem.settings.information * found.matrix[0] + np.eye(d))
-    distance = np.sqrt(step @ np.linalg.solve(problem.prior.covariance + alone, step))
+    far = innovation(step, found.matrix[0], problem.prior.covariance, problem.settings.information)
     return WindowFit(
         slopes,
         found,
         noise=_remembered(problem.noise, cost, left)[0],
-        innovation=float(distance) if explained else 0.0,
+        innovation=far if explained else 0.0,
         excitation=rms(shape.T @ gz[0], cost.clips.counts),
         slope=slope,
     )
+
+
+def innovation(step: FloatArray, told: FloatArray, prior: FloatArray, share: float) -> float:
+    """How far a window's own estimate is from the belief, in sd of a single number that is as unlikely.
+
+    The square of the distance, in units of both covariances, is about chi-square. Of its degrees of freedom
+    only those count that the window determines: the system's prior shrinks the others to nothing.
+
+    Args:
+        step: Step that the window would take alone, with the system's prior, shape (d,).
+        told: Information of the window on z, shape (d, d).
+        prior: Covariance of the belief, shape (d, d).
+        share: Share of the window's samples that count as independent.
+    """
+    both = prior + np.linalg.inv(share * told + np.eye(step.size))
+    shrunk = np.linalg.inv(told + np.eye(step.size))
+    expected = shrunk @ (told @ prior @ told + told / share) @ shrunk  # the step's covariance without a jump
+    freedom = float(np.trace(np.linalg.solve(both, expected)))
+    return sd_of_one(float(step @ np.linalg.solve(both, step)), max(freedom, 1.0))
 
 
 def _remembered(before: Noise, cost: MatchingCost, residual: FloatArray) -> tuple[Noise, dict[str, float]]:

@@ -15,7 +15,7 @@ from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import Estimate, JumpTest, MovingHorizon, Pace
 from amhe_cli.estimation.online.prior import Gaussian, prior_of
 from amhe_cli.estimation.online.replay import open_replay, replay, windows
-from amhe_cli.estimation.online.updates import Noise, Outcome
+from amhe_cli.estimation.online.updates import Noise, Outcome, innovation
 from amhe_cli.system.system import System
 
 
@@ -102,8 +102,8 @@ def test_a_jump_may_have_to_be_found_by_windows_in_a_row(cart, drive) -> None:
 )
 def test_a_jump_is_so_many_innovations_in_a_row(innovations: list[float], jumps: list[int]) -> None:
     test, found = JumpTest(threshold=3.0, windows=2), []
-    for i, innovation in enumerate(innovations):
-        test = test.after(innovation)
+    for i, one in enumerate(innovations):
+        test = test.after(one)
         found += [i] if test.jumped else []
     assert found == jumps
 
@@ -243,3 +243,22 @@ def test_a_loaded_belief_can_still_move(cart) -> None:
     assert start.sd == pytest.approx(space.in_z(0.2))
     wide = prior_of(space, None, 0.2)
     assert wide.sd == pytest.approx([1.0, 1.0]), "the prior is not narrowed"
+
+
+@pytest.mark.parametrize("d", [1, 7, 98])
+def test_windows_of_many_unknowns_show_no_jump_by_chance_and_show_a_true_one(d: int) -> None:
+    """Truths are drawn from the belief; some directions are determined well, others hardly."""
+    rng = np.random.default_rng(d)
+    turn = np.linalg.qr(rng.standard_normal((d, d)))[0]
+    told = (turn * np.geomspace(1e4, 1e-2, d)) @ turn.T
+    prior = np.diag(rng.uniform(0.02, 0.2, d) ** 2)
+    noise = np.linalg.cholesky(told / 0.5)
+
+    def seen(truth: np.ndarray) -> float:
+        step = np.linalg.solve(told + np.eye(d), told @ truth + noise @ rng.standard_normal(d))
+        return innovation(step, told, prior, 0.5)
+
+    quiet = [seen(rng.standard_normal(d) * np.sqrt(np.diag(prior))) for _ in range(400)]
+
+    assert np.mean(np.array(quiet) > 3.0) <= 0.01
+    assert np.median([seen(1.5 * turn[:, 0]) for _ in range(20)]) > 3.0  # 1.5 prior sd
