@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -11,6 +13,13 @@ from amhe_cli.cli.command import Given, argument, command, flag, in_panel, optio
 from amhe_cli.cli.kinds import MODEL, Number, pairs
 from amhe_cli.cli.session import Session
 from amhe_cli.core.text import printable
+
+if TYPE_CHECKING:
+    from amhe_cli.init.signals import Guess
+    from amhe_cli.system.system import System
+
+#: Columns of what is printed.
+_HEAD = ("name", "from", "prior", "why")
 
 
 @command(
@@ -94,6 +103,7 @@ def init(session: Session, given: Given) -> None:
     from amhe_cli.init.from_library import Chosen
     from amhe_cli.logs import inspect_log, members
     from amhe_cli.report.folder import reserve
+    from amhe_cli.report.tables import TEXT, Table, rich_table
     from amhe_cli.system.system import System
 
     drives, volts, gain_p, msg_path = given.drives, given.volts, given.gain_p, given.msg_path
@@ -101,7 +111,7 @@ def init(session: Session, given: Given) -> None:
         raise click.UsageError("--volts and --gain-p belong to --drive")
     path = model_file(given.model)
     folder = reserve(given.out, "init", given.force)
-    guessed = init_system(
+    made = init_system(
         path,
         given.logs,
         folder,
@@ -112,9 +122,25 @@ def init(session: Session, given: Given) -> None:
     system = System.load(folder, warn=False)
     for log in (one.path for path in given.logs for one in members(path, system)):
         remarks = looked_at(inspect_log(log, system, msg_path=msg_path), system).remarks
-        guessed += [f"{log}: {remark}" for remark in remarks]
-    if session.gave(session.record(system=str(folder), guessed=guessed)):
+        made.notes += [f"{log}: {remark}" for remark in remarks]
+    rows = [[one.name, one.source, _prior(one, system), one.why] for one in (*made.guesses, *made.parameters)]
+    record = [dict(zip(_HEAD, row, strict=True)) for row in rows]
+    if session.gave(session.record(system=str(folder), guessed=made.sentences, table=record)):
         return
-    for sentence in guessed:
+    session.console().print(rich_table(Table(_HEAD, ("", "", "", TEXT), rows), {"guess": "yellow"}))
+    for sentence in made.notes:
         print(printable(sentence))
     print(f"wrote {folder}/system.yaml: read it, correct it, then: amhe identify LOG --system {folder}")
+
+
+def _prior(guess: Guess, system: System) -> str:
+    """What is believed before the log is read: of a parameter its range, of a signal its noise."""
+    if "targets" not in guess.entry:
+        return ", ".join(f"{quantity} ± {sd:.2g}" for quantity, sd in guess.noise.items() if sd is not None)
+    if guess.name in system.fixed:
+        return f"{system.fixed[guess.name]:.4g}, fixed"
+    found = [one for one in system.space.parameters if one.name == guess.name]
+    if not found:
+        return f"{len([n for n in system.space.names if n.startswith(f'{guess.name}.')])} numbers"
+    one = found[0]
+    return f"{one.nominal:.4g} {f'×/÷ {math.exp(one.prior_sd):.3g}' if one.log else f'± {one.prior_sd:.2g}'}"

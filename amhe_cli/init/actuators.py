@@ -86,7 +86,7 @@ def zeros(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Guess]
             if not _lifts(model, joint):
                 gravity = "nothing shows it: gravity's torque does not change with this joint"
             why = f"zero of the encoder of joint {joint}: the log reads angle + offset; {gravity}"
-            yield Guess(f"{joint}_offset", entry, why)
+            yield Guess(f"{joint}_offset", entry, why, source="guess")
 
 
 def _lifts(model: mujoco.MjModel, joint: str) -> bool:
@@ -116,4 +116,4 @@ def _gains(model: mujoco.MjModel, actuators: Sequence[str], guessed: bool) -> It
         elif gain.entry["targets"][0]["set"] == "gain":
             yield gain
         else:
-            yield Guess(gain.name, gain.entry | {"prior_sd": 0.0}, f"fixed: {gain.why}")
+            yield Guess(gain.name, gain.entry | {"prior_sd": 0.0}, f"fixed: {gain.why}", source="guess")

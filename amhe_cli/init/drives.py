@@ -75,10 +75,12 @@ def joint_parameters(
             # only the order of magnitude: damping that stops a motion in a second, friction worth 1 rad/s^2,
             # a tenth of the inertia in the rotor
             usual = (0.1 if kind == "armature" else 1.0) * float(np.median(model.dof_M0[dofs]))
-            note = "from the model" if value > 0.0 else "the model has none: a guess from the joint's inertia"
             targets = [{"joint": joint, "set": kind} for joint in alike]
             entry = entry_of(value if value > 0.0 else usual, not value > 0.0, targets)
-            yield Guess(f"{name}_{kind}", entry, f"{meaning}, {of}; {note}")
+            source, note = "model", ""
+            if value <= 0.0:
+                source, note = "guess", "; the model has none: of the size of the joint's inertia"
+            yield Guess(f"{name}_{kind}", entry, f"{meaning}, {of}{note}", source=source)
 
 
 def _groups(spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Sequence[str]) -> dict[str, list[str]]:
@@ -137,7 +139,7 @@ def servo_gains(model: mujoco.MjModel, actuators: Sequence[str]) -> Iterator[Gue
         row = model.actuator(name).id
         if commanded(model, row) == "effort":
             continue
-        note = "a guess from the joint's inertia: put the drive's data sheet in its place"
+        note = "of the size of the joint's inertia: put the drive's data sheet in its place"
         gains = (
             ("gain", float(model.actuator_gainprm[row, 0]), f"the servo's kp, {note}"),
             (
@@ -150,7 +152,7 @@ def servo_gains(model: mujoco.MjModel, actuators: Sequence[str]) -> Iterator[Gue
         gains = gains[:1] if commanded(model, row) == "velocity" else gains
         for kind, nominal, why in gains:
             entry = entry_of(nominal, True, [{"actuator": name, "set": kind}], _GUESSED_GAIN)
-            yield Guess(f"{name}_{'gain' if kind == 'gain' else 'kv'}", entry, why)
+            yield Guess(f"{name}_{'gain' if kind == 'gain' else 'kv'}", entry, why, source="guess")
 
 
 def drive_numbers(model: mujoco.MjModel, actuators: Sequence[str], guessed: bool) -> Iterator[Guess]:
@@ -202,8 +204,8 @@ def delay(step: float) -> Iterator[Guess]:
     """
     middle = (np.floor(_DELAY / step + 1e-6) + 0.5) * step
     entry = linear_entry(middle, (0.0, _LONGEST_DELAY), _DELAY_SD, {"set": "command_delay"})
-    why = "delay of every command [s]; a guess: real servos have 5 to 20 ms"
-    yield Guess("command_delay", entry, why)
+    why = "delay of every command [s]: real servos have 5 to 20 ms"
+    yield Guess("command_delay", entry, why, source="guess")
 
 
 def entry_of(

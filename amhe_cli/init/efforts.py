@@ -89,7 +89,7 @@ def effort_signal(
         "torques were measured, and nothing says what was commanded: match: effort compares them with those "
         "that the motion needs"
     )
-    return Guess("torque", entry, why, {"effort": NOISE["effort"]}), ranges, notes
+    return Guess("torque", entry, why, {"effort": NOISE["effort"]}, "log"), ranges, notes
 
 
 def _off(model: mujoco.MjModel, joints: Sequence[str]) -> list[str]:
@@ -149,7 +149,10 @@ def effort_parameters(model: mujoco.MjModel, ranges: Mapping[str, float]) -> Ite
             if kind == "armature":  # that of the model is not felt by a sensor behind the gear
                 size = 0.5 * float(getattr(model, field)[dof] or 0.1 * model.dof_M0[dof])
             entry = linear_entry(0.5 * size, (0.0, 20.0 * size), short(size), {"joint": joint, "set": kind})
-            yield Guess(f"{joint}_{kind}", entry, f"{meaning}, of joint {joint}; linear, as it may be 0")
+            source = "model" if kind == "armature" else "guess"
+            why = f"{meaning}, of joint {joint}; linear, as it may be 0"
+            yield Guess(f"{joint}_{kind}", entry, why, source=source)
         target = {"signal": "torque", "set": "bias", "quantity": "effort", "joint": joint}
         entry = linear_entry(0.0, (-0.5 * extent, 0.5 * extent), short(_ZERO * extent), target)
-        yield Guess(f"{joint}_torque_offset", entry, f"zero of the torque sensor of joint {joint}")
+        why = f"zero of the torque sensor of joint {joint}"
+        yield Guess(f"{joint}_torque_offset", entry, why, source="guess")

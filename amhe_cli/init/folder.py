@@ -78,6 +78,11 @@ class Proposal:
     match: str = "motion"
     settings: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def sentences(self) -> list[str]:
+        """Each guess with its reason, and the notes."""
+        return [*(f"{one.name}: {one.why}" for one in (*self.guesses, *self.parameters)), *self.notes]
+
     def system(self, name: str, settings: Mapping[str, Any] | None = None) -> System:
         """The system, which needs no folder."""
         signals = {
@@ -188,7 +193,7 @@ def init_system(
     backlash: Sequence[str] = (),
     elastic: Sequence[str] = (),
     drives: Chosen | None = None,
-) -> list[str]:
+) -> Proposal:
     """Write a system folder that `amhe identify` can use at once.
 
     Args:
@@ -206,7 +211,7 @@ def init_system(
         drives: Drives of the library, for gains, limits and armatures.
 
     Returns:
-        The guesses, in sentences.
+        What was proposed, and written.
 
     Raises:
         ConfigError: The model cannot be read, or nothing in the logs is a part of it.
@@ -232,8 +237,7 @@ def init_system(
             place = out / file.relative_to(folder)
             place.parent.mkdir(parents=True, exist_ok=True)
             file.replace(place)
-    reasons = [f"{guess.name}: {guess.why}" for guess in (*made.guesses, *made.parameters)]
-    return [*reasons, *made.notes]
+    return made
 
 
 def _topics(logs: Sequence[Path], msg_path: Path | None) -> list[Topic]:

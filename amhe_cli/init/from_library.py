@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -45,6 +45,8 @@ _LOAD_FRICTION = (0.2, 0.1)
 _DRY, _REST = 0.015, 0.01
 #: Prior sd of the logarithm: of the duty that a gain gives, of a gain that nobody says, of the back-EMF.
 _GAIN_SD, _UNKNOWN_GAIN, _BACK_EMF_SD = 0.1, 1.5, 0.15
+#: Where the numbers of a drive of the library are from.
+_SHEET = "data sheet"
 #: That of a register that is known.
 _EXACT = 0.001
 #: Prior sd of the logarithm of a mass: who names the drives wants to weigh with them.
@@ -104,9 +106,8 @@ def library_parameters(
         if servo.armature is not None:
             target = {"joint": joint, "set": "armature"}
             entry = entry_of(servo.armature, False, [target], servo.armature_sd)
-            made.append(
-                Guess(f"{joint}_armature", entry, f"rotor of joint {joint}, {one.title}: {one.source}")
-            )
+            why = f"rotor of joint {joint}, {one.title}: {one.source}"
+            made.append(Guess(f"{joint}_armature", entry, why, source=_SHEET))
         if commanded(model, model.actuator(actuator).id) == "position" and servo.limit is not None:
             told = _told(topics, actuator, len(actuators) == 1)
             quantities = {quantity for guess in told for quantity in guess.entry["columns"]}
@@ -176,19 +177,21 @@ def _of_servo(
     if servo.kv is not None:
         scaled.append({**here, "set": "back_emf", "mode": "scale"})
         entry = entry_of(servo.kv, False, [{**here, "set": "back_emf"}], _BACK_EMF_SD)
-        yield Guess(f"{joint}_back_emf", entry, f"torque lost by speed {at}: by its no-load speed")
+        why = f"torque lost by speed {at}: by its no-load speed"
+        yield Guess(f"{joint}_back_emf", entry, why, source=_SHEET)
     entry = entry_of(1.0, False, scaled, one.torque_sd) | {"unit": "-"}
     why = f"factor on all torque {at}: {one.source}{f' ({one.note})' if one.note else ''}"
-    yield Guess(f"{joint}_torque_scale", entry, why)
+    yield Guess(f"{joint}_torque_scale", entry, why, source=_SHEET)
     kp, sd = (servo.kp, _GAIN_SD) if servo.kp else (float(model.actuator(actuator).gainprm[0]), _UNKNOWN_GAIN)
     why = f"stiffness {at}" + ("" if servo.kp else "; the model's, since no gain is known: give `gain_p`")
-    yield Guess(f"{joint}_gain", entry_of(kp, False, [{**here, "set": "gain"}], sd), why)
+    entry = entry_of(kp, False, [{**here, "set": "gain"}], sd)
+    yield Guess(f"{joint}_gain", entry, why, source=_SHEET if servo.kp else "model")
     if servo.gain_p is not None:  # nearly exact, and not fixed, so that a data set can know it of each log
         entry = entry_of(1.0, False, [{**here, "set": "gain", "mode": "scale"}], _EXACT) | {"unit": "-"}
         why = f"position gain over {servo.gain_p:g}; a log at half of it: known: {{{joint}_gain_ratio: 0.5}}"
-        yield Guess(f"{joint}_gain_ratio", entry, why)
+        yield Guess(f"{joint}_gain_ratio", entry, why, source=_SHEET)
     entry = entry_of(_DRY * servo.limit, True, [{"joint": joint, "set": "friction_loss"}])
-    yield Guess(f"{joint}_friction_loss", entry, f"dry friction without load {at}; a guess")
+    yield Guess(f"{joint}_friction_loss", entry, f"dry friction without load {at}", source="guess")
     linear = {
         "load_friction": (*_LOAD_FRICTION, {"joint": joint}, "friction, as a share of the torque in the gear")
     }
@@ -203,10 +206,11 @@ def _of_servo(
         entry = linear_entry(
             value, (value - 10.0 * spread, value + 10.0 * spread), spread, {**target, "set": word}
         )
-        yield Guess(f"{joint}_{word}", entry, f"{what}, {at}")
+        yield Guess(f"{joint}_{word}", entry, f"{what}, {at}", source="guess")
     if "voltage" in told:
         fixed = {"nominal": servo.volts, "prior_sd": 0.0, "targets": [{**here, "set": "supply"}]}
-        yield Guess(f"{joint}_supply", fixed, "supply at which the limit holds; the log has its own")
+        why = "supply at which the limit holds; the log has its own"
+        yield Guess(f"{joint}_supply", fixed, why, source=_SHEET)
 
 
 def _told(topics: Sequence[Topic], actuator: str, alone: bool) -> list[Guess]:
@@ -222,7 +226,8 @@ def _told(topics: Sequence[Topic], actuator: str, alone: bool) -> list[Guess]:
                 entry = {"columns": {quantity: columns}, "actuators": [actuator]}
                 place = {} if topic.name == "table" else {"topic": topic.name}
                 name = quantity if alone else f"{actuator}_{quantity}"
-                found.append(Guess(name, place | entry, f"from the column {columns[0]}, judged by its name"))
+                why = f"from the column {columns[0]}, judged by its name"
+                found.append(Guess(name, place | entry, why, source="names"))
     return found
 
 
@@ -237,7 +242,7 @@ def _without(guess: Guess, known: set[tuple[str, str]]) -> Guess | None:
     kept = [target for target in targets if _number(target) not in known]
     if len(kept) == len(targets):
         return guess
-    return Guess(guess.name, {**guess.entry, "targets": kept}, guess.why) if kept else None
+    return replace(guess, entry={**guess.entry, "targets": kept}) if kept else None
 
 
 def _logged_gain(

@@ -68,8 +68,9 @@ def gap_parameters(
         Guess(
             f"{joint}_{'drive_stiffness' if elastic else 'backlash'}",
             entry,
-            f"{what} joint {joint} and its drive; a guess. The log is taken to measure the link: if the "
+            f"{what} joint {joint} and its drive. The log is taken to measure the link: if the "
             f"encoder is on the motor, write joints: {{{drives[joint]}: {joint}}}",
+            source="guess",
         )
         for joint, entry in entries.items()
     ]

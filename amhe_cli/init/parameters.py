@@ -80,7 +80,7 @@ def _masses(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Gues
         if mass > 0.0:
             loose = "; free motion does not depend on it" if body in free else ""
             entry = entry_of(mass, False, [{"body": body, "set": "mass"}], 0.3)
-            why = f"of body {body}, its inertia scales with it{loose}; from the model"
+            why = f"of body {body}, its inertia scales with it{loose}"
             yield Guess(f"{body}_mass", entry, why)
             if loose and not carries_links(model, model.body(body).id):
                 targets = [{"body": body, "set": "inertia", "mode": "scale"}]
@@ -104,8 +104,8 @@ def _center_of_mass(model: mujoco.MjModel, body: str) -> Iterator[Guess]:
     for axis, place in zip("xyz", model.body(body).ipos, strict=True):
         near = (place - 5.0 * _PLACE_SD, place + 5.0 * _PLACE_SD)
         entry = linear_entry(place, near, _PLACE_SD, {"body": body, "set": "center_of_mass", "axis": axis})
-        why = f"centre of mass of body {body} along its {axis} [m]; the place is a guess from the model"
-        yield Guess(f"{body}_com_{axis}", entry, why)
+        why = f"centre of mass of body {body} along its {axis} [m], to about a centimetre"
+        yield Guess(f"{body}_com_{axis}", entry, why, source="guess")
 
 
 def _carried(model: mujoco.MjModel, link: int) -> int:

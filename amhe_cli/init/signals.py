@@ -83,12 +83,14 @@ class Guess:
         entry: Keys and values of the entry, without its noise.
         why: The guess in one sentence.
         noise: Quantity -> sd; None: it sets the state and is not compared.
+        source: Where it is from: 'model', 'log', 'names' (of columns and topics), 'data sheet', or 'guess'.
     """
 
     name: str
     entry: dict[str, Any]
     why: str
     noise: dict[str, float | None] = field(default_factory=dict)
+    source: str = "model"
 
 
 def guess_signals(model: mujoco.MjModel, topics: Sequence[Topic]) -> list[Guess]:
@@ -286,7 +288,7 @@ def _joint_states(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Gu
         entry = {"topic": best.name, "type": best.type, "joints": _plain_names(names)}
         why = f"{best.name} names {len(names)} of the model's {len(single_joints(model))} joints"
         noise = {key: NOISE[key] if key in best.quantities else None for key in ("position", "velocity")}
-        yield Guess("joints", entry, why, noise)
+        yield Guess("joints", entry, why, noise, "log")
 
 
 def _commands(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Guess]:
@@ -307,7 +309,8 @@ def _commands(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Guess]
             left = {name: aliases for name, aliases in left.items() if name not in names}
             entry = {"topic": topic.name, "type": topic.type, "actuators": _plain_names(names)}
             several = len(topic.quantities) > 1
-            yield Guess("command", entry | ({"quantity": quantity} if several else {}), why)
+            quantity_of = {"quantity": quantity} if several else {}
+            yield Guess("command", entry | quantity_of, why, source="names")
 
 
 def _bodies(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Guess]:
@@ -356,13 +359,14 @@ def _pose_guess(
     if frame:
         entry["child_frame"] = frame
     why = f"{topic.name} is {'named like' if named else 'the only pose, so probably that of'} body {body}"
+    source = "names" if named else "guess"
     if kind == "mocap":
-        return Guess(body, entry, why)
+        return Guess(body, entry, why, source=source)
     noise: dict[str, float | None] = {key: NOISE[key] for key in ("position", "orientation")}
     if free:
         twist = "linear_velocity" in topic.quantities
         noise |= {key: NOISE[key] if twist else None for key in ("linear_velocity", "angular_velocity")}
-    return Guess(body, entry, why, noise)
+    return Guess(body, entry, why, noise, source)
 
 
 def _imus(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Guess]:
@@ -378,7 +382,8 @@ def _imus(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Guess]:
                 k: NOISE[k] for k in ("angular_velocity", "linear_acceleration")
             }
             entry = {"topic": topic.name, "type": topic.type, "site": alike[0]}
-            yield Guess("imu", entry, f"{topic.name} is probably the IMU at site {alike[0]}", noise)
+            why = f"{topic.name} is probably the IMU at site {alike[0]}"
+            yield Guess("imu", entry, why, noise, "guess")
 
 
 def _plain_names(names: dict[str, str]) -> Iterable[str]:

@@ -118,7 +118,7 @@ def with_columns(guess: Guess, topics: Sequence[Topic], alone: bool) -> None:
     if names and isinstance(names, dict):
         rest["actuators" if "actuators" in entry else "joints"] = list(names)
     taken = "; ".join(f"{quantity} from {', '.join(names)}" for quantity, names in columns.items())
-    guess.why = f"{taken}: judged by the names of the columns"
+    guess.why, guess.source = f"{taken}: judged by the names of the columns", "names"
     guess.entry = ({} if alone else {"topic": topic.table}) | {"columns": columns} | rest
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from amhe_cli.core.text import printable
@@ -11,6 +11,8 @@ from amhe_cli.init.signals import Guess
 
 #: Line of a system whose efforts are matched.
 MATCH = "match: effort  # motion: the torques drive the model, and its motion is compared"
+#: What marks a line whose numbers are a guess.
+GUESS = "GUESS"
 #: Comment above a signal that is to be completed by hand.
 _SKELETON = "this type is not built in: correct the paths of its numbers to use it"
 
@@ -58,14 +60,15 @@ def system_text(
         "",
         "# The unknowns. nominal and prior_sd are the prior, before a log is read; prior_sd is the",
         "# standard deviation of log(value) with scale: log (0.5 is a factor of 1.65), else of the value.",
+        f"# Neither model, log nor data sheet gives the lines with {GUESS}: look at these first.",
         "parameters:",
-        *(line for guess in parameters for line in _parameter(guess)),
+        *(f"  {_line(guess)}" for guess in parameters),
         *("  # To make a mass unknown, too, uncomment it:" for _ in spare[:1]),
-        *(f"  # {line[2:]}" for guess in spare for line in _parameter(guess)),
+        *(f"  # {_line(guess)}" for guess in spare),
         "",
         "# noise: standard deviation of the measurement [SI]; null: it sets the state and is not compared.",
         "signals:",
-        *(line for guess in guesses for line in _signal(guess)),
+        *(f"  {_line(guess)}" for guess in guesses),
         *(f"  # {printable(line)}" for skeleton in skeletons for line in (_SKELETON, *skeleton)),
         *(_GEARED if geared else ()),
         *(line for line in ("settings:", "  identify:", f"    geared: {flow(list(geared))}") if geared),
@@ -73,17 +76,8 @@ def system_text(
     return "\n".join(lines) + "\n"
 
 
-def _parameter(guess: Guess) -> Iterator[str]:
-    yield f"  {flow(guess.name)}:  # {printable(guess.why)}"
-    for key, value in guess.entry.items():
-        if key != "targets":
-            yield f"    {key}: {flow(value)}"
-    yield "    targets:"
-    yield from (f"      - {flow(target)}" for target in guess.entry["targets"])
-
-
-def _signal(guess: Guess) -> Iterator[str]:
-    yield f"  {flow(guess.name)}:  # {printable(guess.why)}"
-    yield from (f"    {key}: {flow(value)}" for key, value in guess.entry.items())
-    if guess.noise:
-        yield f"    noise: {flow(guess.noise)}"
+def _line(guess: Guess) -> str:
+    """One entry on one line, with its source and reason."""
+    entry = guess.entry | ({"noise": guess.noise} if guess.noise else {})
+    source = GUESS if guess.source == "guess" else guess.source
+    return f"{flow({guess.name: entry})[1:-1]}  # {source}: {printable(guess.why)}"

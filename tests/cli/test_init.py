@@ -20,7 +20,14 @@ SCENE = str(MODELS / "pendulum" / "scene.xml")
 def test_it_writes_a_system_that_the_log_suits(pendulum_log: Path, tmp_path: Path, capsys) -> None:
     system = tmp_path / "mine"
     assert run(["init", SCENE, str(pendulum_log), "-o", str(system)]) == 0
-    assert "system.yaml" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "system.yaml" in out
+    sources = {line.split()[0]: line.split()[1] for line in out.splitlines() if len(line.split()) > 1}
+    assert sources["joints"] == "log"
+    assert sources["hinge_damping"] == "model"
+    assert sources["command_delay"] == "guess"
+    lines = (system / "system.yaml").read_text().splitlines()
+    assert [line.split(":")[0].strip() for line in lines if "# GUESS: " in line] == ["command_delay"]
     assert run(["inspect", str(pendulum_log), "--system", str(system)]) == 0
     assert "usable: 8 s" in capsys.readouterr().out
 

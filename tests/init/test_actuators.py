@@ -55,7 +55,7 @@ def made(
         gains=gains,
         backlash=backlash,
         elastic=elastic,
-    )
+    ).sentences
     return System.load(folder / "out"), notes
 
 
@@ -170,7 +170,7 @@ def test_a_column_that_names_a_command_and_a_joint_is_that_joints_target(tmp_pat
 
 def test_gravity_shows_no_zero_of_a_joint_that_turns_about_the_vertical(tmp_path: Path) -> None:
     log = bundled_logs()["arm"]
-    guessed = init_system(bundled_models()["arm"], [log], tmp_path / "out", actuators=True)
+    guessed = init_system(bundled_models()["arm"], [log], tmp_path / "out", actuators=True).sentences
     offsets = {text.partition(":")[0]: text for text in guessed if "_offset: zero" in text}
     assert "nothing shows it" in offsets["yaw_offset"]
     assert offsets["shoulder_offset"].endswith("gravity shows it")
@@ -182,7 +182,9 @@ def test_efforts_that_are_not_compared_are_named(tmp_path: Path) -> None:
     names = [f"{kind}_{joint}" for kind in kinds for joint in JOINTS]
     rows = [",".join(["time", *names]), *(",".join([f"{0.01 * i:g}", *["0.1"] * 12]) for i in range(50))]
     (tmp_path / "log.csv").write_text("\n".join(rows) + "\n")
-    notes = init_system(tmp_path / "robot.xml", [tmp_path / "log.csv"], tmp_path / "out", actuators=True)
+    notes = init_system(
+        tmp_path / "robot.xml", [tmp_path / "log.csv"], tmp_path / "out", actuators=True
+    ).sentences
     (note,) = [note for note in notes if note.startswith("not compared: the efforts tau_left_hip")]
     assert "joint: NAME" in note
 

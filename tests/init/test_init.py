@@ -64,7 +64,7 @@ def made(
     tmp_path: Path, model: str, logs: Sequence[Path], name: str = "robot.xml"
 ) -> tuple[System, str, list[str]]:
     (tmp_path / name).write_text(model)
-    guesses = init_system(tmp_path / name, logs, tmp_path / "out")
+    guesses = init_system(tmp_path / name, logs, tmp_path / "out").sentences
     return System.load(tmp_path / "out"), (tmp_path / "out" / "system.yaml").read_text(), guesses
 
 
@@ -101,7 +101,7 @@ def test_many_joints_share_their_parameters(tmp_path: Path, walker_log: Path) ->
 def test_a_zero_in_the_model_becomes_a_positive_guess(tmp_path: Path, walker_log: Path) -> None:
     system, text, _ = made(tmp_path, walker(), [walker_log])
     assert np.all(system.space.nominal > 0.0)
-    assert "the model has none: a guess from the joint's inertia" in text
+    assert "the model has none: of the size of the joint's inertia" in text
 
 
 def test_noise_is_estimated_from_the_log(tmp_path: Path, walker_log: Path) -> None:

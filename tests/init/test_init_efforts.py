@@ -13,7 +13,7 @@ from amhe_cli.system.system import System
 
 def test_torques_without_commands_are_matched(tmp_path: Path) -> None:
     model, log = bundled_models()["arm_torque"], bundled_logs()["arm_torque"]
-    notes = init_system(model, [log], tmp_path / "arm")
+    notes = init_system(model, [log], tmp_path / "arm").sentences
     system = System.load(tmp_path / "arm", {"identify": {"profile_points": 0}, "clips": {"held_out": 0.0}})
     assert system.match == "effort"
     assert any(note.startswith("torque: torques were measured, and nothing says") for note in notes)
@@ -32,7 +32,7 @@ def test_torques_that_do_not_change_are_no_measurement(tmp_path: Path) -> None:
     for line in lines[1:]:
         line[-1] = "0.5"
     (tmp_path / "still.csv").write_text("\n".join(map(",".join, lines)) + "\n")
-    notes = init_system(model, [tmp_path / "still.csv"], tmp_path / "arm")
+    notes = init_system(model, [tmp_path / "still.csv"], tmp_path / "arm").sentences
     assert System.load(tmp_path / "arm", warn=False).match == "motion"
     assert any("they can drive the model" in note for note in notes)
 
@@ -52,7 +52,7 @@ def test_rival_columns_and_numbers_from_zero_are_told_apart(tmp_path: Path) -> N
     currents = [[f"tau_cur_{i}" for i in range(7)], *(line[-7:] for line in lines[1:])]
     rows = (",".join([*a, *b, *c]) for a, b, c in zip(lines, wanted, currents, strict=True))
     (tmp_path / "log.csv").write_text("\n".join(rows) + "\n")
-    notes = init_system(model, [tmp_path / "log.csv"], tmp_path / "arm")
+    notes = init_system(model, [tmp_path / "log.csv"], tmp_path / "arm").sentences
     signals = {s.name: s for s in System.load(tmp_path / "arm", warn=False).signals}
     assert signals["joints"].columns["position"] == tuple(f"q_{i}" for i in range(7))
     assert signals["torque"].columns["effort"] == tuple(f"tau_J_{i}" for i in range(7))
@@ -67,7 +67,7 @@ def test_joints_that_stand_still_are_left_out(tmp_path: Path) -> None:
     for line in lines[1:]:
         line[1:4] = ["0.1", "-0.2", "0.3"]
     (tmp_path / "log.csv").write_text("\n".join(map(",".join, lines)) + "\n")
-    notes = init_system(model, [tmp_path / "log.csv"], tmp_path / "arm")
+    notes = init_system(model, [tmp_path / "log.csv"], tmp_path / "arm").sentences
     system = System.load(tmp_path / "arm", warn=False)
     (effort,) = [c for c in system.channels if c.compared]
     assert effort.columns == (3, 4, 5, 6)

@@ -48,7 +48,7 @@ def recorded(
 def made(folder: Path, text: str, log: Path, **options: object) -> tuple[System, list[str]]:
     path = written(folder, text)
     urdf = UrdfOptions(**options)  # type: ignore[arg-type]
-    guesses = init_system(path, [log], folder / "out", urdf=urdf)
+    guesses = init_system(path, [log], folder / "out", urdf=urdf).sentences
     return System.load(folder / "out"), guesses
 
 

@@ -28,7 +28,7 @@ def recorded(folder: Path, angles: np.ndarray, commands: np.ndarray) -> Path:
 
 def test_init_declares_degrees_of_positions_and_commands(tmp_path: Path) -> None:
     log = recorded(tmp_path, np.rad2deg(SWING), np.rad2deg(SWING))
-    notes = init_system(tmp_path / "arm.xml", [log], tmp_path / "system")
+    notes = init_system(tmp_path / "arm.xml", [log], tmp_path / "system").sentences
     system = amhe.System.load(tmp_path / "system")
     read = amhe.read_log(log, system)
     np.testing.assert_allclose(read["joints.position"].values[:, 0], SWING, atol=1e-6)
