@@ -18,11 +18,10 @@ import numpy as np
 from common import PROJECT, paired, show
 
 from amhe_cli.study.cells import Cell
-from amhe_cli.study.conduct import conduct
 from amhe_cli.study.executors import pool_of
 from amhe_cli.study.plan import EvalOptions, planned, study_of
 from amhe_cli.study.run import run_cell
-from amhe_cli.study.store import start
+from amhe_cli.study.store import conduct, start
 
 #: Throughput of eval over that of bare processes.
 GOAL = 0.95

@@ -34,18 +34,26 @@ from rich.console import Console
 from rich.table import Table
 
 from amhe_cli.robots.go1.emulator.emulator import Emulator, EmulatorOptions
-from amhe_cli.robots.go1.emulator.faults import Faults
+from amhe_cli.robots.go1.emulator.ports import Faults
 from amhe_cli.robots.go1.kinematics import HOME
-from amhe_cli.robots.go1.link import command, state, wire
-from amhe_cli.robots.go1.link.child import ROBOT, take_priority
-from amhe_cli.robots.go1.link.clock import Clock
-from amhe_cli.robots.go1.link.command import MotorCommand
 from amhe_cli.robots.go1.link.link import Link
-from amhe_cli.robots.go1.link.mail import Phase
-from amhe_cli.robots.go1.link.motion import Targets
-from amhe_cli.robots.go1.link.state import RobotState
-from amhe_cli.robots.go1.poses import udp
+from amhe_cli.robots.go1.link.mail import Phase, Targets
+from amhe_cli.robots.go1.link.packets import (
+    COMMAND,
+    SERVO,
+    STATE,
+    MotorCommand,
+    PacketError,
+    RobotState,
+    decode_command,
+    decode_state,
+    encode_command,
+    encode_state,
+    seal,
+)
+from amhe_cli.robots.go1.link.process import ROBOT, Clock, take_priority
 from amhe_cli.robots.go1.poses.gate import Gate
+from amhe_cli.robots.go1.poses.sources import pose_datagram, read_pose
 from amhe_cli.robots.go1.settings import Go1Settings, PoseSettings
 from amhe_cli.robots.go1.tasks import find_task
 
@@ -84,13 +92,13 @@ def main() -> None:
 def codec() -> Table:
     """Time of one packet."""
     sent, read = _a_command(), _a_state()
-    packets = command.encode(sent), state.encode(read)
+    packets = encode_command(sent), encode_state(read)
     table = Table("packet", "median us", "99 % us")
     for name, code in {
-        "encode a command": lambda: command.encode(sent),
-        "decode a state": lambda: state.decode(packets[1]),
-        "decode a command (emulator)": lambda: command.decode(packets[0]),
-        "encode a state (emulator)": lambda: state.encode(read),
+        "encode a command": lambda: encode_command(sent),
+        "decode a state": lambda: decode_state(packets[1]),
+        "decode a command (emulator)": lambda: decode_command(packets[0]),
+        "encode a state (emulator)": lambda: encode_state(read),
     }.items():
         times = np.array([_timed(code) for _ in range(20_000)])
         table.add_row(name, *(f"{1e6 * np.quantile(times, share):.1f}" for share in (0.5, 0.99)))
@@ -371,14 +379,14 @@ def fuzz(count: int) -> Table:
     """Random and mutated datagrams into both receivers: what was accepted although it should not."""
     table = Table("receiver", "datagrams", "accepted", "wrongly accepted", "crashes")
     for name, good, decode, form in (
-        ("robot's states", state.encode(_a_state()), state.decode, wire.STATE),
-        ("commands (emulator)", command.encode(_a_command()), command.decode, wire.COMMAND),
+        ("robot's states", encode_state(_a_state()), decode_state, STATE),
+        ("commands (emulator)", encode_command(_a_command()), decode_command, COMMAND),
     ):
         rng, accepted, wrong, crashes = np.random.default_rng(0), 0, 0, 0
         for datagram in _mutants(good, count, rng):
             try:
                 decode(datagram)
-            except wire.PacketError:
+            except PacketError:
                 continue
             except Exception:
                 crashes += 1
@@ -395,10 +403,10 @@ def _fuzz_poses(count: int) -> tuple[str, str, str]:
     rng, gate, period = np.random.default_rng(0), Gate(PoseSettings(), "go1", "box"), 0.01
     place, level = np.array([0.3, -0.2, 0.27]), np.array([1.0, 0.0, 0.0, 0.0])
     accepted = wrong = crashes = 0
-    for number, datagram in enumerate(_pose_mutants(udp.datagram("go1", 1.0, place, level), count, rng)):
+    for number, datagram in enumerate(_pose_mutants(pose_datagram("go1", 1.0, place, level), count, rng)):
         now = number * period / 20
         try:
-            seen = udp.read(udp.datagram("go1", now, place, level) if number % 20 == 0 else datagram)
+            seen = read_pose(pose_datagram("go1", now, place, level) if number % 20 == 0 else datagram)
             if seen is not None and seen.body == "go1":
                 accepted += 1
                 pose, stamp = (seen.position, seen.orientation), now if seen.stamp is None else seen.stamp
@@ -435,7 +443,7 @@ def _mutants(good: bytes, count: int, rng: np.random.Generator) -> Iterator[byte
             for position in rng.integers(0, len(good), kind - 1 + int(rng.integers(0, 3))).tolist():
                 packet[position] ^= 1 << int(rng.integers(0, 8))
             if kind == 3 and rng.random() < 0.5:
-                wire.seal(packet)  # a right checksum over a wrong content
+                seal(packet)  # a right checksum over a wrong content
             yield bytes(packet)
 
 
@@ -464,9 +472,7 @@ _TABLE = [_divided(byte) for byte in range(256)]
 
 
 def _a_command() -> MotorCommand:
-    return MotorCommand(
-        wire.SERVO, np.array(HOME), np.zeros(12), np.ones(12), np.full(12, 60.0), np.full(12, 3.0)
-    )
+    return MotorCommand(SERVO, np.array(HOME), np.zeros(12), np.ones(12), np.full(12, 60.0), np.full(12, 3.0))
 
 
 def _a_state() -> RobotState:

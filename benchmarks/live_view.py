@@ -24,7 +24,7 @@ from amhe_cli.cli.session import Session
 from amhe_cli.cli.watching import watching_run
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.live.loop import drive
-from amhe_cli.robots.go1.history import History
+from amhe_cli.robots.go1.judge import History
 from amhe_cli.robots.go1.recording import recorder_of
 from amhe_cli.robots.go1.run import RunOptions, open_run
 

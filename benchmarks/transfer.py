@@ -29,8 +29,8 @@ from amhe_cli.core.statistics import Z90
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.estimation.design.probe import ProbeOptions
 from amhe_cli.logs import read_log
-from amhe_cli.robots.go1.history import History, run_record
-from amhe_cli.robots.go1.plants import PLANTS
+from amhe_cli.robots.go1.judge import History, run_record
+from amhe_cli.robots.go1.plant import PLANTS
 from amhe_cli.robots.go1.probing.motions import WALK
 from amhe_cli.robots.go1.probing.probe import PushProbe
 from amhe_cli.robots.go1.run import RunOptions, open_run

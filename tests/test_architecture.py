@@ -82,7 +82,7 @@ ROOMED = [module for module in MODULES if module not in ("__init__.py", "__main_
 
 
 def room_of(parts: list[str]) -> str:
-    """'robots/go1' of robots/go1/link/wire.py; else the first folder."""
+    """'robots/go1' of robots/go1/link/packets.py; else the first folder."""
     depth = 2 if parts[0] == "robots" else 1
     return "/".join(part.removesuffix(".py") for part in parts[:depth])
 
@@ -327,7 +327,7 @@ def test_the_library_speaks_of_arguments_not_of_options() -> None:
 
 def test_the_library_reads_no_environment_and_no_arguments() -> None:
     """But for the environment of a child process."""
-    own = "robots/go1/link/child.py"
+    own = "robots/go1/link/process.py"
     library = [m for m in ROOMED if not m.startswith("cli/") and m != own]
     wrong = [m for m in library if re.search(r"os\.environ|os\.getenv|sys\.argv", text_of(m))]
     assert not wrong

@@ -14,8 +14,7 @@ import pytest
 
 from amhe_cli.core.errors import AmheError
 from amhe_cli.estimation.offline.cma import memory_of, restore
-from amhe_cli.robots.go1.poses.natnet import _listening_to
-from amhe_cli.robots.go1.poses.source import PoseError
+from amhe_cli.robots.go1.poses.sources import PoseError, _listening_to
 from amhe_cli.system.parameters.model_edits import inputs_of_set_const
 
 PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8"))["project"]

@@ -124,7 +124,7 @@ def run(
         SimulationError: The simulation diverged.
     """
     from amhe_cli.live.loop import drive
-    from amhe_cli.robots.go1.history import History, run_record
+    from amhe_cli.robots.go1.judge import History, run_record
     from amhe_cli.robots.go1.recording import recorder_of
     from amhe_cli.robots.go1.run import RunOptions, open_run
     from amhe_cli.robots.go1.tasks import LONGEST

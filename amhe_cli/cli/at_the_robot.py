@@ -14,7 +14,7 @@ from amhe_cli.cli.session import Session
 if TYPE_CHECKING:
     from amhe_cli.core.errors import AmheError, Ending
     from amhe_cli.live.recorder import Recorder
-    from amhe_cli.robots.go1.history import History
+    from amhe_cli.robots.go1.judge import History
     from amhe_cli.robots.go1.link.open import WireOptions
     from amhe_cli.robots.go1.run import Run
 
@@ -72,7 +72,7 @@ def wire_of(target: str, chosen: Given) -> WireOptions | None:
 
 def dry_run(session: Session, run: Run) -> None:
     """Check everything, plan without sending, and say what was found; nothing moves."""
-    from amhe_cli.robots.go1.link.rehearsal import rehearse
+    from amhe_cli.robots.go1.link.open import rehearse
 
     with closing(run.episode.belief), run.target as target:  # type: ignore[union-attr]
         found = target.check() | rehearse(run)
@@ -98,8 +98,8 @@ def ready(target: Any, session: Session) -> Iterator[None]:
     if isinstance(target, SimTarget):
         yield
         return
-    from amhe_cli.robots.go1.link.wire import LinkError
-    from amhe_cli.robots.go1.poses.source import PoseError
+    from amhe_cli.robots.go1.link.packets import LinkError
+    from amhe_cli.robots.go1.poses.sources import PoseError
 
     with _unseen_keys(), target:
         for name, value in target.check().items():

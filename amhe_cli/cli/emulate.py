@@ -37,9 +37,9 @@ def emulate(session: Session, given: Given) -> None:
     both.
     """
     from amhe_cli.robots.go1.emulator.emulator import Emulator, EmulatorOptions
-    from amhe_cli.robots.go1.emulator.faults import parse_faults
-    from amhe_cli.robots.go1.link.child import ROBOT, take_priority
-    from amhe_cli.robots.go1.poses import natnet, udp
+    from amhe_cli.robots.go1.emulator.ports import parse_faults
+    from amhe_cli.robots.go1.link.process import ROBOT, take_priority
+    from amhe_cli.robots.go1.poses.sources import NATNET_PORT, UDP_PORT
     from amhe_cli.robots.go1.run import RunOptions, task_and_system
     from amhe_cli.robots.go1.settings import settings_of
 
@@ -47,7 +47,7 @@ def emulate(session: Session, given: Given) -> None:
     chosen = RunOptions(given.task, target="go1", settings=given.overrides.all)
     measured, system = task_and_system(chosen)
     s = settings_of(system).go1
-    pose_port = mocap_port if mocap_port is not None else {"natnet": natnet.PORT}.get(mocap, udp.PORT)
+    pose_port = mocap_port if mocap_port is not None else {"natnet": NATNET_PORT}.get(mocap, UDP_PORT)
     emulated = EmulatorOptions(
         measured, given.host, given.port, mocap, pose_port, parse_faults(given.fault), s.slow, given.seed,
         (s.trunk, s.box), (s.trunk_offset, s.box_offset),

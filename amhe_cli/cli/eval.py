@@ -74,11 +74,10 @@ def evaluate(session: Session, given: Given) -> None:
     rest. Writes summary.json, tables (Markdown, LaTeX, CSV), figures (PNG, PDF) and report.html.
     Exit code 1 where a cell brought no result.
     """
-    from amhe_cli.study.conduct import conduct
     from amhe_cli.study.executors import pool_of
     from amhe_cli.study.plan import EvalOptions, planned, study_of
     from amhe_cli.study.run import run_cell
-    from amhe_cli.study.store import open_store, start
+    from amhe_cli.study.store import conduct, open_store, start
     from amhe_cli.system.provenance import machine, now
 
     if given.engine != "cpu":

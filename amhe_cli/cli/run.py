@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from amhe_cli.core.errors import Ending
     from amhe_cli.live.episode import Cycle
     from amhe_cli.report.run import TaskFacts
-    from amhe_cli.robots.go1.history import History
+    from amhe_cli.robots.go1.judge import History
     from amhe_cli.robots.go1.run import Run
 
 _TASKS = (
@@ -63,7 +63,7 @@ def run(session: Session, given: Given) -> None:
     """
     from amhe_cli.core.files import filling
     from amhe_cli.report.run import print_run, verdict, write_run
-    from amhe_cli.robots.go1.history import run_record
+    from amhe_cli.robots.go1.judge import run_record
     from amhe_cli.robots.go1.run import RunOptions, open_run
     from amhe_cli.system.provenance import run_provenance
 
@@ -124,7 +124,7 @@ def _driven(
     """Drive a run to its end, with its log and live page; how it ended, its history, and its link."""
     from amhe_cli.cli.progress import progress
     from amhe_cli.live.loop import drive
-    from amhe_cli.robots.go1.history import History
+    from amhe_cli.robots.go1.judge import History
     from amhe_cli.robots.go1.recording import recorder_of
 
     history, title = History(run.task), f"{run.options.task} {run.options.mode}"

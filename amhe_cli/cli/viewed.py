@@ -139,7 +139,7 @@ class Viewed:
             verdicts = {p.name: p.verdict for p in self.record.parameters if p.verdict}
             return {"fitted": self.belief is not None, "belief": known, "verdicts": verdicts}
         from amhe_cli.cli.watching import floor_of
-        from amhe_cli.live.recorded import first_belief, recorded_curves
+        from amhe_cli.live.recorder import first_belief, recorded_curves
         from amhe_cli.robots.go1.run import as_measured
         from amhe_cli.robots.go1.tasks import find_task
 

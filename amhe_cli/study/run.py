@@ -1,26 +1,57 @@
-"""One cell becomes one run, here or on another machine."""
+"""One cell becomes one run, here or on another machine, if the code that decides its result is the same."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
+import amhe_cli
 from amhe_cli.core.errors import ConfigError, Ending
 from amhe_cli.core.yaml_file import nested
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.estimation.online.horizon import Estimate
-from amhe_cli.robots.go1.history import History, run_record
+from amhe_cli.robots.go1.judge import History, run_record
+from amhe_cli.robots.go1.model import SYSTEM
 from amhe_cli.robots.go1.run import RunOptions, open_run
 from amhe_cli.robots.go1.settings import settings_of
 from amhe_cli.study.cells import Cell, cell_of
-from amhe_cli.study.code import code
 from amhe_cli.study.results import blank, thinned
+from amhe_cli.system.provenance import sha256, system_files, versions
+from amhe_cli.system.system import System
+
+#: The rooms and files whose code runs in a cell; a test runs one and looks for others.
+RUN_IN_CELLS = (
+    "core", "logs", "system", "engine", "matching", "estimation", "control", "live", "robots",
+    "study/__init__.py", "study/cells.py", "study/results.py", "study/run.py",
+)  # fmt: skip
+
+
+@cache
+def code() -> dict[str, str]:
+    """Versions of the libraries, and hashes of our sources and of the robot's model."""
+    files = system_files(System.load(SYSTEM, warn=False))
+    numbers = {name: version for name, version in versions().items() if name != "python"}
+    return {**numbers, "sources": _hash(source_files(Path(amhe_cli.__file__).parent)), "model": _hash(files)}
+
+
+def source_files(package: Path) -> dict[str, str]:
+    """Hashes of the source files that run in cells, by their path in the package."""
+    places = [package / name for name in RUN_IN_CELLS]
+    files = [file for place in places for file in ([place] if place.is_file() else place.rglob("*.py"))]
+    return {file.relative_to(package).as_posix(): sha256(file) for file in files}
+
+
+def _hash(files: dict[str, str]) -> str:
+    return hashlib.sha256(json.dumps(files, sort_keys=True).encode()).hexdigest()[:12]
 
 
 def run_cell(request: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,6 +1,7 @@
-"""The folder of a study: `study.json` describes it, `cells/` holds one result file for each cell.
+"""The folder of a study, and its cells run on any executor, each result kept as soon as it arrives.
 
-The result files of a finished study can be packed into `cells.zip`, which is read as `cells/` is.
+`study.json` describes the study, `cells/` holds one result file for each cell. The result files of a finished
+study can be packed into `cells.zip`, which is read as `cells/` is.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import json
 import shutil
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,8 @@ from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.core.files import whole, write_whole
 from amhe_cli.robots.go1.tasks import LONGEST
 from amhe_cli.study.cells import Cell, Setting, setting_of
-from amhe_cli.study.results import CellResult, read_result
+from amhe_cli.study.executors import Pool, gathered
+from amhe_cli.study.results import CellResult, blank, read_result, result_of
 
 STUDY, CELLS, PACKED = "study.json", "cells", "cells.zip"
 #: Date of all packed files: equal results give equal bytes.
@@ -202,3 +204,35 @@ def write_file(path: Path, text: str) -> None:
         raise AmheError(
             f"{path}: {error.strerror}; the cells before it are kept: mend that, and go on with `resume=True`"
         ) from None
+
+
+def conduct(
+    store: Store,
+    cells: Sequence[Cell],
+    run: Callable[[Mapping[str, Any]], dict[str, Any]],
+    pool: Pool,
+    stopped: Callable[[], bool],
+    on_result: Callable[[CellResult], None],
+) -> None:
+    """Run cells; one that fails is recorded with its reason and does not stop the others.
+
+    Args:
+        store: Store of the results; it is written to from here, so that workers need no common disk.
+        cells: Cells to run.
+        run: Runs one cell: from a request to the content of a result file.
+        pool: Executor that the cells are run on.
+        stopped: Called now and then; returns whether to give up the cells that are running.
+        on_result: Called with each result.
+
+    Raises:
+        AmheError: A failure that would stop every cell: other code on a worker, a full disk, a scheduler that
+            is gone.
+    """
+    requests = {cell: {"cell": cell.plain(), "code": dict(store.study.code)} for cell in cells}
+    for cell, brought in gathered(run, requests, pool, stopped):
+        if isinstance(brought, AmheError):
+            raise brought
+        if isinstance(brought, Exception):
+            brought = blank(requests[cell], f"{type(brought).__name__}: {brought}")
+        store.write(cell, brought)
+        on_result(result_of(brought))

@@ -17,9 +17,8 @@ from amhe_cli.cli.main import run
 from amhe_cli.cli.settings import gathered
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.study.cells import Cell, setting_of
-from amhe_cli.study.code import code
 from amhe_cli.study.plan import EvalOptions, planned, study_of
-from amhe_cli.study.run import run_cell
+from amhe_cli.study.run import code, run_cell
 from amhe_cli.study.store import open_store
 from tests.clusters import Cluster
 from tests.study.cells_at_play import result

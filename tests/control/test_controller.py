@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from amhe_cli.control.controller import Controller, Plan
-from amhe_cli.control.pace import RolloutPace
+from amhe_cli.control.controller import Controller, Plan, RolloutPace
 from amhe_cli.control.protocols import Behaviour
 from amhe_cli.control.settings import ControlSettings
 from amhe_cli.core.arrays import FloatArray, IntArray

@@ -10,9 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from amhe_cli.control.mpopi import Mpopi, MpopiStep, Scores, mppi_weights
+from amhe_cli.control.mpopi import Mpopi, MpopiStep, Scores, mppi_weights, shift_matrix
 from amhe_cli.control.settings import ControlSettings
-from amhe_cli.control.splines import shift_matrix
 from amhe_cli.core.arrays import FloatArray
 
 FEW = settings(max_examples=25, deadline=None)

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from amhe_cli.control.splines import shift_matrix, spline_basis
+from amhe_cli.control.mpopi import shift_matrix, spline_basis
 from amhe_cli.core.arrays import FloatArray
 
 FEW = settings(max_examples=25, deadline=None)

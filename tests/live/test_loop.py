@@ -11,7 +11,7 @@ import pytest
 from amhe_cli.core.errors import OperatorStopError
 from amhe_cli.estimation.online.workers import Trouble
 from amhe_cli.live.loop import drive
-from amhe_cli.robots.go1.history import History
+from amhe_cli.robots.go1.judge import History
 from amhe_cli.robots.go1.run import RunOptions, open_run
 
 

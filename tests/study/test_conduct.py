@@ -12,8 +12,7 @@ import pytest
 from amhe_cli.core import files
 from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.study.cells import Cell
-from amhe_cli.study.conduct import conduct
-from amhe_cli.study.store import Store, Study, open_store, start
+from amhe_cli.study.store import Store, Study, conduct, open_store, start
 from tests.study.cells_at_play import CODE, played, record
 
 STUDY = Study(CODE, {"control.samples": 8}, (), 40.0, ("amhe eval",), "2026-01-01T00:00:00+00:00", {})

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from amhe_cli.study.statistics import bootstrap, paired, rate, spread, wilson
+from amhe_cli.study.summary import bootstrap, paired, rate, spread, wilson
 
 
 def rng() -> np.random.Generator:

@@ -1,10 +1,9 @@
 from dataclasses import replace
 
-from amhe_cli.study.ablations import ablations
 from amhe_cli.study.cells import Cell, setting_of
 from amhe_cli.study.goals import Goal, goals
 from amhe_cli.study.results import blank, result_of
-from amhe_cli.study.summary import Groups, difference, summary
+from amhe_cli.study.summary import Groups, ablations, difference, summary
 from tests.study.cells_at_play import CODE, result
 
 TASKS, MODES = ("t1", "t4", "t5"), ("true", "baseline", "stale", "adaptive")

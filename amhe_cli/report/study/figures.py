@@ -18,10 +18,9 @@ from amhe_cli.core.floor import Floor, outline
 from amhe_cli.report.page import Section
 from amhe_cli.report.study.style import IDENTIFIED, INITIAL, INK, MUTED, Grid, styled, svg
 from amhe_cli.report.study.tables import words_of
-from amhe_cli.study.ablations import Ablation
 from amhe_cli.study.estimates import change_of
 from amhe_cli.study.results import TRACE_STEP, CellResult
-from amhe_cli.study.summary import Group, Groups
+from amhe_cli.study.summary import Ablation, Group, Groups
 
 #: Task -> path and goal of its box.
 Floors = Mapping[str, Floor]

@@ -13,10 +13,9 @@ from amhe_cli.report.study.figures import Floors, drawn
 from amhe_cli.report.study.formats import FORMATS, StudyTable
 from amhe_cli.report.study.page import study_page
 from amhe_cli.report.study.tables import tables
-from amhe_cli.study.ablations import ablations
 from amhe_cli.study.goals import goals
 from amhe_cli.study.store import Store, write_file
-from amhe_cli.study.summary import Groups, summary
+from amhe_cli.study.summary import Groups, ablations, summary
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,12 +10,9 @@ from typing import Any
 
 from amhe_cli.report.numbers import MISSING
 from amhe_cli.report.study.formats import StudyTable
-from amhe_cli.study import paper
-from amhe_cli.study.ablations import Ablation
 from amhe_cli.study.estimates import BEGUN, NEAR, RESOLVED, SETTLED, estimates
-from amhe_cli.study.goals import Goal
-from amhe_cli.study.statistics import Spread
-from amhe_cli.study.summary import MEASURES, RATES, Group, Groups, difference
+from amhe_cli.study.goals import PAPER_MODES, TABLE_1, TABLE_1_TASK, TABLE_2, Goal
+from amhe_cli.study.summary import MEASURES, RATES, Ablation, Group, Groups, Spread, difference
 
 #: Measure -> its sign in the paper, its unit, and the decimals that its spread leaves meaningful.
 SIGNS: dict[str, tuple[str, str, int]] = {
@@ -32,7 +29,7 @@ SIGNS: dict[str, tuple[str, str, int]] = {
 _RELATIVE = ("cost", "time_s")
 #: Measures of the table of ablations.
 _ABLATED = ("success", "goal_error_m", "speed_rmse", "cost", "time_s")
-_PAPERS = tuple(f"paper: {mode}" for mode in paper.MODES.values())
+_PAPERS = tuple(f"paper: {mode}" for mode in PAPER_MODES.values())
 
 
 def tables(groups: Groups, found: Sequence[Ablation], judged: Sequence[Goal]) -> list[StudyTable]:
@@ -46,16 +43,16 @@ def tables(groups: Groups, found: Sequence[Ablation], judged: Sequence[Goal]) ->
 
 def _table_1(groups: Groups) -> StudyTable:
     """Like the paper's table I: T4."""
-    ours = groups.of(paper.TABLE_1_TASK)
+    ours = groups.of(TABLE_1_TASK)
     rows, records = [], []
-    for name, theirs in paper.TABLE_1.items() if ours else ():
-        published = [_mean_sd(name, *theirs[mode]) for mode in paper.MODES]
+    for name, theirs in TABLE_1.items() if ours else ():
+        published = [_mean_sd(name, *theirs[mode]) for mode in PAPER_MODES]
         rows.append((_label(name), *(_spread(group, name) for group in ours), *published))
         for group in ours:
             mean, sd = theirs.get(group.mode, (None, None))
             records.append(_record(group, name) | {"paper_mean": mean, "paper_sd": sd})
     return StudyTable(
-        "table1", f"{paper.TABLE_1_TASK.upper()}: mean ± sd over seeds, beside the paper's table I",
+        "table1", f"{TABLE_1_TASK.upper()}: mean ± sd over seeds, beside the paper's table I",
         ("", *(f"{group.mode} (n = {group.n})" for group in ours), *_PAPERS), rows, records,
         "Our cost J is not the paper's: compare costs among our modes, or among the paper's.",
     )  # fmt: skip
@@ -65,11 +62,11 @@ def _table_2(groups: Groups) -> StudyTable:
     """Like the paper's table II: all tasks."""
     modes = groups.modes_of(groups.tasks)
     rows, records = [], []
-    for (task, name), theirs in paper.TABLE_2.items():
+    for (task, name), theirs in TABLE_2.items():
         ours = {group.mode: group for group in groups.of(task)}
         if ours:
             mine = [_spread(ours[mode], name) if mode in ours else MISSING for mode in modes]
-            published = [_value(name, theirs[mode]) for mode in paper.MODES]
+            published = [_value(name, theirs[mode]) for mode in PAPER_MODES]
             rows.append((f"{task.upper()} {_label(name)}", *mine, *published))
             records += [_record(g, name) | {"paper_mean": theirs.get(mode)} for mode, g in ours.items()]
     title = "Speed error and final error, beside the paper's table II"

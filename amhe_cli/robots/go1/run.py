@@ -1,4 +1,9 @@
-"""A task's name and options become an episode that is ready to run."""
+"""A task's name and options become an episode that is ready to run.
+
+What has been identified of the robot itself (`group: robot` in models/go1_push/system.yaml) goes into gait
+and planner. A planner without dry friction takes half the time: what is known of it is viscous friction
+there, of the same torque at the speed of a walking joint, and the gait leads the joints by it.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from amhe_cli.control.controller import Controller
@@ -16,26 +22,119 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief import Belief, belief_for, belief_of, completed
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.rotations import exp, multiply
+from amhe_cli.core.samples import Samples, Thinner, since
 from amhe_cli.core.yaml_file import merged
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import MovingHorizon, check_window
 from amhe_cli.estimation.online.tracker import Tracker
 from amhe_cli.estimation.online.workers import PATIENCE, InProcess, InStep
-from amhe_cli.live.belief import AdaptiveBelief, FixedBelief
-from amhe_cli.live.episode import BeliefSource, Episode
+from amhe_cli.live.episode import AdaptiveBelief, BeliefSource, Episode, FixedBelief
 from amhe_cli.live.target import SimTarget, Target
+from amhe_cli.robots.go1.behaviours.gait import Gait
 from amhe_cli.robots.go1.judge import Judge
-from amhe_cli.robots.go1.kinematics import HOME
-from amhe_cli.robots.go1.known import gait_of, latency_of, without_dry_friction
-from amhe_cli.robots.go1.model import SYSTEM, Box, home, layout, planner_model
-from amhe_cli.robots.go1.plant import Plant
-from amhe_cli.robots.go1.plants import find_plant, shaped_plant
-from amhe_cli.robots.go1.sampling import Sampler
+from amhe_cli.robots.go1.kinematics import HOME, KINDS
+from amhe_cli.robots.go1.model import KD, KP, SYSTEM, Box, home, layout, planner_model
+from amhe_cli.robots.go1.plant import Plant, find_plant, shaped_plant
 from amhe_cli.robots.go1.settings import PushSettings, settings_of
-from amhe_cli.robots.go1.state import Go1
-from amhe_cli.robots.go1.state_estimator.estimator import StateEstimator
+from amhe_cli.robots.go1.state import GRAVITY, Go1, State
+from amhe_cli.robots.go1.state_estimator import StateEstimator
 from amhe_cli.robots.go1.tasks import LONGEST, Task, find_task
 from amhe_cli.system.system import System
+
+#: Speed of a joint at which dry friction and its stand-in are equal [rad/s]; dry friction of the model that
+#: the gait was made with [N m].
+_SPEED, _USUAL = 1.5, 0.2
+
+
+def robot_is_known(system: System) -> bool:
+    """Whether somebody has identified the robot."""
+    return any(held.sd for held in system.edits.held.values())
+
+
+def latency_of(system: System) -> float:
+    """Time that a command takes to act, as far as it is known [s]."""
+    return system.edits.held["command_latency"].value if robot_is_known(system) else 0.0
+
+
+def without_dry_friction(system: System) -> System:
+    """The system without dry friction in the robot's joints; viscous friction stands in for what is known."""
+    held = {name: one.value for name, one in system.edits.held.items()}
+    numbers = {f"joint_friction_{kind}": 0.0 for kind in KINDS}
+    if robot_is_known(system):
+        for kind in KINDS:
+            more = held[f"joint_friction_{kind}"] - _USUAL
+            numbers[f"joint_damping_{kind}"] = max(held[f"joint_damping_{kind}"] + more / _SPEED, 0.05)
+    return system.fixing({name: value for name, value in numbers.items() if name in held})
+
+
+def gait_of(system: System) -> Gait:
+    """The gait of a robot as far as it is known."""
+    if not robot_is_known(system):
+        return Gait()
+    model = without_dry_friction(system).model
+    data, at = mujoco.MjData(model), layout(model)
+    data.qpos[:] = home(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    gain = system.edits.held["motor_gain"].value
+    trunk, damping = model.body("trunk").id, model.dof_damping[at.joints_v[:3]] + gain * KD
+    ahead, left = (data.subtree_com[trunk] - data.xpos[trunk])[:2].tolist()
+    hip, thigh, calf = np.asarray(damping).tolist()
+    return Gait(
+        kp=gain * KP, damping=(hip, thigh, calf), weight=float(model.body_subtreemass[trunk]) * GRAVITY,
+        centre=(ahead, left),
+    )  # fmt: skip
+
+
+#: Time between two samples of joints and IMU [s].
+SAMPLE_PERIOD = 0.01
+_OWN = ("joints.position", "joints.velocity", "imu.angular_velocity", "imu.linear_acceleration")
+
+
+class Sampler:
+    """Makes samples of each cycle's measurements, estimates and commands, in single precision.
+
+    The robot's own samples are thinned: 500 Hz of twelve joints are most of a log, and an identification
+    learns little from them. Nothing is older than the first command: then the clock of our reader, which
+    starts at the first sample, meets every command on a step of its own.
+    """
+
+    def __init__(self) -> None:
+        self._thinner = Thinner(SAMPLE_PERIOD)
+        self._last: State | None = None
+
+    def __call__(self, measured: Samples, estimate: State) -> Samples:
+        """The samples of one cycle, from its measurements and its estimate; once for each, in order."""
+        own = self._thinner.thinned({key: measured[key] for key in _OWN})
+        seen = {key: series for key, series in measured.items() if key.startswith(("trunk.", "box."))}
+        commands = {"command.position": measured["command.position"]}
+        begun = -np.inf if self._last else estimate.time - 1e-6
+        samples = {
+            **since(own, begun),
+            **self._with_twists(since(seen, begun), estimate),
+            **since(commands, begun),
+        }
+        self._last = estimate
+        # single precision: half of a log's size, and more digits than any sensor has
+        return {
+            key: (times, np.asarray(values, dtype=np.float32).astype(np.float64))
+            for key, (times, values) in samples.items()
+        }
+
+    def _with_twists(self, seen: Samples, now: State) -> Samples:
+        """Measured poses, with twists interpolated between the last cycle's estimate and this one's."""
+        before = self._last or now
+        samples = dict(seen)
+        for name in ("trunk", "box"):
+            times, _ = seen[f"{name}.position"]
+            passed = max(now.time - before.time, 1e-9)
+            share = np.clip((times - before.time) / passed, 0.0, 1.0)[:, None] if self._last else 1.0
+            for key, part in (("linear_velocity", "velocity"), ("angular_velocity", "rate")):
+                twists = [getattr(getattr(state, name), part) for state in (before, now)]
+                start, end = (np.tile(twist, (times.size, 1)) for twist in twists)
+                samples[f"{name}.{key}"] = times, start + share * (end - start)
+        return samples
+
 
 MODES = ("true", "baseline", "stale", "adaptive")
 #: Start poses of robot and box differ by up to this, uniformly [m], [rad].

@@ -11,12 +11,10 @@ import numpy as np
 
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.floor import Floor
-from amhe_cli.robots.go1.behaviours.course import Course
 from amhe_cli.robots.go1.behaviours.gait import Gait, standing
-from amhe_cli.robots.go1.behaviours.steering import Helm
-from amhe_cli.robots.go1.behaviours.sweeping import Sweeping
-from amhe_cli.robots.go1.behaviours.tripod import Tripod
-from amhe_cli.robots.go1.behaviours.walking import Walking
+from amhe_cli.robots.go1.behaviours.objective import Course
+from amhe_cli.robots.go1.behaviours.sweeping import Sweeping, Tripod
+from amhe_cli.robots.go1.behaviours.walking import Helm, Walking
 from amhe_cli.robots.go1.model import Box, Change
 
 #: Commanded speed along the path [m/s], and the last part of the path over which it goes to zero [m].

@@ -12,15 +12,13 @@ from amhe_cli.core.errors import ConfigError
 from amhe_cli.estimation.design.probe import ProbeOptions
 from amhe_cli.live.target import SimTarget
 from amhe_cli.robots.go1.behaviours.gait import Gait
-from amhe_cli.robots.go1.history import History
+from amhe_cli.robots.go1.judge import History
 from amhe_cli.robots.go1.kinematics import HOME
-from amhe_cli.robots.go1.known import gait_of, latency_of, without_dry_friction
 from amhe_cli.robots.go1.model import Box, layout, plant_model
-from amhe_cli.robots.go1.plant import Plant
-from amhe_cli.robots.go1.plants import PLANTS, PlantShape, find_plant, shaped_plant
+from amhe_cli.robots.go1.plant import PLANTS, Plant, PlantShape, find_plant, shaped_plant
 from amhe_cli.robots.go1.probing.motions import WALK
 from amhe_cli.robots.go1.probing.probe import PushProbe
-from amhe_cli.robots.go1.run import RunOptions, open_run, system_of
+from amhe_cli.robots.go1.run import RunOptions, gait_of, latency_of, open_run, system_of, without_dry_friction
 from amhe_cli.robots.go1.state import SensorNoise
 from amhe_cli.robots.go1.tasks import find_task
 

@@ -14,12 +14,11 @@ from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.samples import Samples
 from amhe_cli.robots.go1 import kinematics as legs
 from amhe_cli.robots.go1.behaviours.gait import Gait, contacts, walk
+from amhe_cli.robots.go1.kalman import Turn, ValueFilter
 from amhe_cli.robots.go1.model import Box, plant_model
 from amhe_cli.robots.go1.plant import Plant
 from amhe_cli.robots.go1.state import Body, State
-from amhe_cli.robots.go1.state_estimator.estimator import StateEstimator
-from amhe_cli.robots.go1.state_estimator.kalman import Turn, ValueFilter
-from amhe_cli.robots.go1.state_estimator.sensing import trunk_velocities
+from amhe_cli.robots.go1.state_estimator import StateEstimator, trunk_velocities
 
 CYCLE = 0.02
 TRUNK = Body(

@@ -13,13 +13,12 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.rotations import conjugate, difference, exp, log, mean, multiply, rotate, yaw_of
-from amhe_cli.robots.go1.link.child import Opened
-from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.link import Link
+from amhe_cli.robots.go1.link.process import Clock, Opened
 from amhe_cli.robots.go1.model import Box, layout, plant_model
 from amhe_cli.robots.go1.poses.feed import PoseFeed
-from amhe_cli.robots.go1.poses.frame import Offset, up
-from amhe_cli.robots.go1.poses.source import Pose, PoseError
+from amhe_cli.robots.go1.poses.gate import Offset, up
+from amhe_cli.robots.go1.poses.sources import Pose, PoseError
 from amhe_cli.robots.go1.settings import Go1Settings
 
 #: Length, width and height of a Go1's trunk, hips and head included [m].

@@ -1,26 +1,124 @@
-"""The program's end of the link: starts the sender, hands over plans, hands out what the robot says."""
+"""The program's end of the link: starts the sender and watches it, hands over plans, hands out what it says.
+
+The watch has a thread of its own, so that a plan that takes long does not hold it up: it damps the motors if
+the sender's reports stop.
+"""
 
 from __future__ import annotations
 
 import fcntl
+import math
 import os
 import signal
+import socket
 import subprocess
 import threading
 import time
+from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
+from dataclasses import replace
 from typing import Any
 
-from amhe_cli.robots.go1.link import wire
-from amhe_cli.robots.go1.link.child import Child, Opened
-from amhe_cli.robots.go1.link.clock import Clock
-from amhe_cli.robots.go1.link.mail import Phase, SenderReport
-from amhe_cli.robots.go1.link.motion import Targets
-from amhe_cli.robots.go1.link.robot_socket import connected
-from amhe_cli.robots.go1.link.watch import SenderWatch
-from amhe_cli.robots.go1.link.wire import LinkError
+import numpy as np
+
+from amhe_cli.robots.go1.link.mail import SAMPLE, Phase, SenderReport, Targets
+from amhe_cli.robots.go1.link.packets import STATE, LinkError
+from amhe_cli.robots.go1.link.process import WATCH, Child, Clock, Opened, take_priority
+from amhe_cli.robots.go1.link.sender import RobotSocket, connected, let_down
 from amhe_cli.robots.go1.settings import Go1Settings
+
+#: Time between two looks [s], and the least time for which motors are damped in place of the sender [s].
+_LOOK, _DAMP = 0.005, 2.0
+_DIED = "the process that talks to the robot has died"
+_ENDLESS = "the process that talks to the robot does not end"
+
+
+class SenderWatch:
+    """Watches a sender from its first report to its last.
+
+    Args:
+        child: The sender's process.
+        robot: The sender's own socket. The watch has a duplicate, open until the robot is down: in an
+            emergency none can fail to open, and no Ctrl-C closes it.
+        settings: Settings of the robot.
+        clock: The program's clock.
+
+    Attributes:
+        report: The newest report of the sender; if it was lost, of what is done in its place.
+        driven: Whether the robot has been commanded to move.
+        realtime: Whether it has real-time priority.
+    """
+
+    def __init__(self, child: Child, robot: socket.socket, settings: Go1Settings, clock: Clock) -> None:
+        self._child, self._settings, self._clock = child, settings, clock
+        self._robot = robot.dup()
+        self._samples: deque[Any] = deque()
+        self._closing = False
+        self.report = SenderReport()
+        self.driven = self.realtime = False
+        # no daemon: Python itself does not end before the robot is down
+        threading.Thread(target=self._run, name="watch over the sender").start()
+
+    def samples(self) -> list[Any]:
+        """States that arrived since the last call, as records of `mail.SAMPLE`."""
+        return [self._samples.popleft() for _ in range(len(self._samples))]
+
+    def close(self) -> None:
+        """End the watch, once the robot is down; a sender that has not ended by now is lost, too."""
+        self._closing = True
+        while self.report.phase != Phase.OVER:  # after a `join` that Ctrl-C interrupts Python would end first
+            time.sleep(_LOOK)
+
+    def _run(self) -> None:
+        fault = "the program's own watch failed"
+        try:
+            self.realtime = take_priority(
+                WATCH, anywhere=True
+            )  # a sender that hangs may take all of its core
+            fault = self._lost()
+        finally:
+            with self._robot:
+                if fault:
+                    self._stand_in(fault)
+
+    def _lost(self) -> str:
+        """Take in messages until the last phase is over: '', or until the sender is lost: how."""
+        last = math.inf  # a sender that starts is not late
+        while self.report.phase != Phase.OVER:
+            now = self._clock.now()  # before the look: this process itself may be stopped after it
+            messages = list(self._child.pipe.received())
+            for message in messages:
+                self._take(message)
+            if messages:
+                last = now
+            elif not self._child.pipe.open:
+                return _DIED
+            elif now - last > self._settings.trips.report_age:
+                return f"the process that talks to the robot hangs: no report for {1e3 * (now - last):.0f} ms"
+            elif self._closing:
+                return _ENDLESS
+            else:
+                time.sleep(_LOOK)
+        return ""
+
+    def _take(self, message: SenderReport | bytes) -> None:
+        if isinstance(message, SenderReport):
+            self.report = message
+        else:
+            self._samples.append(np.frombuffer(message, SAMPLE)[0])
+
+    def _stand_in(self, fault: str) -> None:
+        """Let the robot down in place of a lost sender: motors keep their last command permanently."""
+        first = {"trip": self.report.trip or "sender_lost", "reason": self.report.reason or fault}
+        self.report = replace(self.report, phase=Phase.DAMP, **first)
+        try:
+            self._child.process.kill()  # one that hangs may wake up, and go on
+            if self.driven:
+                let_down(RobotSocket(self._robot, self._clock), self._settings, self._clock, _DAMP)
+        finally:
+            self.report = replace(self.report, phase=Phase.OVER)
+
 
 #: Number of states after which a robot counts as found, and the share of them that must reach us: with a
 #: second program at the same robot it is a half.
@@ -236,6 +334,6 @@ def _strange(where: str, size: int, why: str) -> str:
             f"the robot on {where} is in high-level mode: on the remote L2+A, L2+A, L2+B, L1+L2+START, with "
             "the robot lying or hanging (docs/go1.md)"
         )
-    if size == wire.STATE.itemsize:
+    if size == STATE.itemsize:
         return f"{where} sends what is no state: {why}"
     return f"what answers from {where} is no Go1: datagrams of {size} bytes"

@@ -1,23 +1,182 @@
-"""The state machine: what is sent in which phase, and what leads from one phase to the next.
+"""The state machine: what is sent in which phase, what leads from one phase to the next, and what ends a run.
 
-No socket and no clock in here: time and all that is known come in, a command comes out.
+No socket and no clock in here: time and all that is known come in, a command comes out. Each trip is one
+line of a table, with its threshold in the settings.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, sealed
-from amhe_cli.robots.go1.kinematics import HOME
-from amhe_cli.robots.go1.link import wire
-from amhe_cli.robots.go1.link.command import MotorCommand
-from amhe_cli.robots.go1.link.mail import Inbox, Phase
-from amhe_cli.robots.go1.link.motion import Targets, allowed, eased, travel_time
-from amhe_cli.robots.go1.link.state import Remote, RobotState
-from amhe_cli.robots.go1.link.trips import NO_JUMP, View, power, tripped
-from amhe_cli.robots.go1.settings import Go1Settings
+from amhe_cli.robots.go1.kinematics import HOME, JOINTS
+from amhe_cli.robots.go1.link.mail import Inbox, Phase, Targets, allowed, beyond, eased, travel_time
+from amhe_cli.robots.go1.link.packets import OVERHEATED, SERVO, MotorCommand, Remote, RobotState
+from amhe_cli.robots.go1.settings import Go1Settings, TripSettings
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """All that trips depend on.
+
+    Args:
+        phase: Present phase.
+        inbox: All that is known at this tick.
+        state: Newest state of the robot.
+        gap: Time since the packet before [s].
+        state_age: Time since the newest state arrived [s].
+        plan_age: Time since the newest plan was sent [s].
+        pose_age: Time since the older one of the newest poses of trunk and box [s].
+        over_power: States with too much power, less those without, as `Machine` counts them.
+        jump: Step from the targets in force to a plan that is new in this tick, or between two of its rows,
+            the larger one for each joint [rad], shape (12,).
+        targets: Joint targets to send, before they are clipped [rad], shape (12,).
+    """
+
+    phase: Phase
+    inbox: Inbox
+    state: RobotState
+    gap: float
+    state_age: float
+    plan_age: float
+    pose_age: float
+    over_power: int
+    jump: FloatArray
+    targets: FloatArray
+
+
+#: The reason of a trip in words; '' or None if there is none.
+Trip = Callable[[View, TripSettings], str | None]
+_STOPS, _NO_POSE = "remote control: L2+B or select", "no pose of trunk or box"
+
+
+def power(state: RobotState) -> float:
+    """Power of all motors [W]."""
+    return float(np.abs(state.torques * state.joint_rates).sum())
+
+
+def tilt(quaternion: FloatArray) -> float:
+    """Angle between the trunk's up and the world's [rad]."""
+    w, x, y, z = quaternion.tolist()
+    upright = 1.0 - 2.0 * (x * x + y * y) / max(w * w + x * x + y * y + z * z, 1e-9)
+    return float(np.arccos(min(1.0, max(-1.0, upright))))
+
+
+def _damaged(view: View, limits: TripSettings) -> str | None:
+    count = view.inbox.bad_packets
+    return f"{count} damaged packets one after the other" if count >= limits.bad_packets else None
+
+
+def _powerful(view: View, limits: TripSettings) -> str | None:
+    return f"power of {power(view.state):.0f} W" if view.over_power >= limits.power_ticks else None
+
+
+def _flat(view: View, limits: TripSettings) -> str | None:
+    charge = view.state.charge
+    return f"the battery is at {charge} %" if charge < limits.charge else None
+
+
+def _shared(view: View, limits: TripSettings) -> str | None:
+    share = view.inbox.share
+    if share >= limits.share:
+        return None
+    arrive = f"only {100 * share:.0f} % of the robot's states arrive"
+    return f"{arrive}: another program talks to it, or the network loses packets"
+
+
+def _not_a_number(view: View, limits: TripSettings) -> str | None:
+    state = view.state
+    total = state.joints.sum() + state.joint_rates.sum() + state.gyro.sum() + state.quaternion.sum()
+    if not np.isfinite(total):
+        return "the robot sends what is not a number"
+    return None if np.isfinite(view.jump.sum() + view.targets.sum()) else "the plan is not a number"
+
+
+def _tilted(view: View, limits: TripSettings) -> str | None:
+    angle = tilt(view.state.quaternion)
+    return f"the trunk leans {np.rad2deg(angle):.0f} degrees" if angle > limits.tilt else None
+
+
+def _fast(view: View, limits: TripSettings) -> str | None:
+    ratio = np.abs(view.state.joint_rates) / np.tile(limits.joint_speed, 4)
+    worst = int(ratio.argmax())
+    return f"{JOINTS[worst]} moves at {view.state.joint_rates[worst]:.1f} rad/s" if ratio[worst] > 1 else None
+
+
+def _hot(view: View, limits: TripSettings) -> str | None:
+    worst = int(view.state.temperatures.argmax())
+    hottest = view.state.temperatures[worst]
+    return f"{JOINTS[worst]} is {hottest:.0f} deg C hot" if hottest > limits.temperature else None
+
+
+def _off(view: View, limits: TripSettings) -> str | None:
+    wrong = np.flatnonzero(view.state.modes != SERVO)
+    if not wrong.size:
+        return None
+    mode = int(view.state.modes[wrong[0]])
+    why = ", too hot" if mode == OVERHEATED else ""
+    return f"{JOINTS[wrong[0]]} is in mode {mode}{why}, not in {SERVO}"
+
+
+def _out_of_range(view: View, limits: TripSettings) -> str | None:
+    # a robot that lies with folded calves is beyond the limits of commands: this counts only once it stands
+    if view.phase not in (Phase.READY, Phase.RUN):
+        return None
+    return "a joint is beyond its limits" if beyond(view.state.joints, limits.position_margin) else None
+
+
+def _jumping(view: View, limits: TripSettings) -> str | None:
+    worst = int(np.abs(view.jump).argmax())
+    far = abs(view.jump[worst]) > limits.target_jump
+    return f"the target of {JOINTS[worst]} jumps by {view.jump[worst]:+.2f} rad" if far else None
+
+
+def _late(what: str, age: float, longest: float) -> str | None:
+    return f"{what} for {1e3 * age:.0f} ms" if age > longest else None
+
+
+def _runs(view: View, reason: str | None) -> str | None:
+    """A reason that counts only while the robot follows plans."""
+    return reason if view.phase == Phase.RUN else None
+
+
+#: Trip -> the phase that follows, most urgent first.
+TRIPS: dict[str, tuple[Trip, Phase]] = {
+    "order": (lambda v, _: v.inbox.stop, Phase.DAMP),
+    "remote": (lambda v, _: _STOPS if Remote.of(v.state.remote).stops else None, Phase.DAMP),
+    "stalled": (lambda v, s: _late("the sender stalled: no packet", v.gap, s.packet_gap), Phase.DAMP),
+    "state_lost": (lambda v, s: _late("no state of the robot", v.state_age, s.state_age), Phase.DAMP),
+    "damaged": (_damaged, Phase.DAMP),
+    "share": (_shared, Phase.DAMP),
+    "not_a_number": (_not_a_number, Phase.DAMP),
+    "tilt": (_tilted, Phase.DAMP),
+    "speed": (_fast, Phase.DAMP),
+    "power": (_powerful, Phase.DAMP),
+    "temperature": (_hot, Phase.DAMP),
+    "motor_mode": (_off, Phase.DAMP),
+    "battery": (_flat, Phase.DAMP),
+    "range": (_out_of_range, Phase.DAMP),
+    "target_jump": (_jumping, Phase.DAMP),
+    "pose_false": (lambda v, _: _runs(v, v.inbox.contradiction), Phase.DAMP),
+    "plan_lost": (lambda v, s: _runs(v, _late("no plan", v.plan_age, s.plan_age)), Phase.PAUSE),
+    "pose_doubt": (lambda v, _: _runs(v, v.inbox.doubt), Phase.PAUSE),
+    "pose_lost": (lambda v, s: _runs(v, _late(_NO_POSE, v.pose_age, s.pose_age)), Phase.PAUSE),
+}
+
+NO_JUMP = sealed(np.zeros(12))
+
+
+def tripped(view: View, limits: TripSettings) -> tuple[str, str, Phase] | None:
+    """The most urgent trip: its name, its reason, and the phase that follows; None: all is well."""
+    for name, (trip, then) in TRIPS.items():
+        reason = trip(view, limits)
+        if reason:
+            return name, reason, then
+    return None
+
 
 #: Legs folded under the trunk [rad]: within the limits of commands, unlike those of a robot let down.
 FOLDED = sealed(np.tile([0.0, 1.2, -2.6], 4))
@@ -217,9 +376,7 @@ class Machine:
         gain = min(1.0, (now - self._since) / s.gain_time) if self.phase == Phase.HOLD else 1.0
         self._sent = wanted
         targets = self.commanded = allowed(wanted, state.joints, s.kp, s.torque_share)
-        return MotorCommand(
-            wire.SERVO, targets, _AT_REST, _AT_REST, np.full(12, gain * s.kp), np.tile(s.kd, 4)
-        )
+        return MotorCommand(SERVO, targets, _AT_REST, _AT_REST, np.full(12, gain * s.kp), np.tile(s.kd, 4))
 
     def _count_power(self, state: RobotState) -> None:
         """Count up for a state with too much power, else down, as the vendor's own protection does."""

@@ -1,28 +1,88 @@
-"""A task's name and options become an episode on a Go1 that is reached by wire."""
+"""A task's name and options become an episode on a Go1 that is reached by wire, and a rehearsal of it."""
 
 from __future__ import annotations
 
 import ipaddress
 import socket
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
 
+import numpy as np
+
+from amhe_cli.control.controller import LEAST
 from amhe_cli.core.errors import ConfigError, one_of
-from amhe_cli.robots.go1.known import latency_of
+from amhe_cli.live.episode import Cycle
 from amhe_cli.robots.go1.link.calibration import Calibration
-from amhe_cli.robots.go1.link.child import planning_first
-from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.link import Link
+from amhe_cli.robots.go1.link.packets import LinkError
+from amhe_cli.robots.go1.link.process import Clock, planning_first
 from amhe_cli.robots.go1.link.target import Go1Target
-from amhe_cli.robots.go1.poses import natnet, udp
 from amhe_cli.robots.go1.poses.feed import KINDS, FeedOptions, PoseFeed
-from amhe_cli.robots.go1.run import Run, RunOptions, generator, run_on, task_and_system
+from amhe_cli.robots.go1.poses.sources import NATNET_PORT, UDP_PORT
+from amhe_cli.robots.go1.run import Run, RunOptions, generator, latency_of, run_on, task_and_system
 from amhe_cli.robots.go1.settings import Go1Settings, settings_of
 from amhe_cli.robots.go1.tasks import Task
+
+#: Cycles that are planned.
+_CYCLES = 100
+
+
+class _Patient:
+    """A judge of a robot that lies and will not arrive."""
+
+    verdict = (0, "")
+
+    def watch(self, state: object) -> bool:
+        """See `EpisodeJudge`."""
+        return False
+
+
+def rehearse(run: Run) -> dict[str, str]:
+    """Plan cycles of the task from what is measured, and send none; the pace in words.
+
+    Args:
+        run: The run, at a robot that has been checked; it cannot be run any more.
+
+    Raises:
+        LinkError: Even the least number of rollouts takes longer than a control period.
+    """
+    assert isinstance(run.target, Go1Target)
+    run.target.rehearse()
+    cycles = list(islice(replace(run.episode, judge=_Patient()).cycles(), _CYCLES))
+    settings = settings_of(run.system).control
+    return {"pace": pace(cycles, settings.samples, settings.period * run.target.slow)}
+
+
+def pace(cycles: Sequence[Cycle], samples: int, period: float) -> str:
+    """The pace of some cycles in words.
+
+    Args:
+        cycles: The cycles.
+        samples: Rollouts that each should have had.
+        period: Control period by the wall clock [s].
+
+    Raises:
+        LinkError: See `rehearse`.
+    """
+    median, slow = np.quantile([cycle.plan_ms for cycle in cycles], (0.5, 0.99))
+    made = [cycle.plan.step.rollouts for cycle in cycles if cycle.plan.step]
+    if median > 1e3 * period:
+        raise LinkError(
+            f"this computer is too slow: a cycle with {min(made)} rollouts ({LEAST} are the least) takes "
+            f"{median:.0f} ms, the median of {len(cycles)}, and the control period is {1e3 * period:g} ms; "
+            "end other programs, or at the emulator give both commands a larger `go1.slow`"
+        )
+    return (
+        f"{np.mean(made):.1f} of {samples} rollouts in a cycle ({min(made)} at least), {median:.0f} ms of "
+        f"{1e3 * period:g} ms (99 %: {slow:.0f} ms)"
+    )
+
 
 #: The robot's own address and port, as it leaves the factory.
 HOST, PORT = "192.168.123.10", 8007
 _POSE_HOSTS = {"natnet": "192.168.123.100", "udp": "127.0.0.1"}
-_POSE_PORTS = {"natnet": natnet.PORT, "udp": udp.PORT}
+_POSE_PORTS = {"natnet": NATNET_PORT, "udp": UDP_PORT}
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,23 +12,231 @@ import os
 import select
 import signal
 import socket
+import statistics
 import traceback
+from collections import Counter, deque
+from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
-from amhe_cli.robots.go1.link import state, wire
-from amhe_cli.robots.go1.link.child import SENDER, Pipe, begun, take_priority
-from amhe_cli.robots.go1.link.clock import Clock, ClockMap, ticks_ahead
-from amhe_cli.robots.go1.link.command import MotorCommand, encode
-from amhe_cli.robots.go1.link.first_contact import Contact, Share
 from amhe_cli.robots.go1.link.machine import Machine
-from amhe_cli.robots.go1.link.mail import SAMPLE, Inbox, Phase, SenderReport
-from amhe_cli.robots.go1.link.motion import Sent
-from amhe_cli.robots.go1.link.robot_socket import RobotSocket, let_down
-from amhe_cli.robots.go1.link.state import RobotState
+from amhe_cli.robots.go1.link.mail import SAMPLE, Inbox, Phase, SenderReport, Sent
+from amhe_cli.robots.go1.link.packets import (
+    DAMPED,
+    SERVO,
+    LinkError,
+    MotorCommand,
+    PacketError,
+    RobotState,
+    decode_state,
+    encode_command,
+)
+from amhe_cli.robots.go1.link.process import SENDER, Clock, ClockMap, Pipe, begun, take_priority, ticks_ahead
 from amhe_cli.robots.go1.settings import Go1Settings
+
+#: Largest datagram, and the most that are read at one go: a flood does not hold packets up.
+_LARGEST, _MOST = 2048, 1000
+
+
+class RobotSocket:
+    """A UDP socket for one address only; it ignores all others.
+
+    Args:
+        connected: The socket, see `connected`.
+        clock: The program's clock.
+
+    Attributes:
+        refused: How often the other computer reported that no program listens there.
+        empty: When there was nothing to read for the last time [s]: what is read next arrived later.
+    """
+
+    def __init__(self, connected: socket.socket, clock: Clock) -> None:
+        self._socket, self._clock = connected, clock
+        self.refused = 0
+        self.empty = -math.inf
+
+    def send(self, packet: bytes) -> bool:
+        """Send a packet; False where the network did not take it."""
+        try:
+            self._socket.send(packet)
+        except ConnectionRefusedError:
+            self.refused += 1
+            return False
+        except OSError:
+            return False
+        return True
+
+    def received(self, until: float) -> Iterator[tuple[bytes, float]]:
+        """All datagrams that arrive until a time [s], each with the time at which it was read [s].
+
+        The kernel's own stamps are not used: they are of a clock that may be set.
+        """
+        for _ in range(_MOST):
+            now = self._clock.now()
+            try:
+                datagram = self._socket.recv(_LARGEST)
+            except ConnectionRefusedError:
+                self.refused += 1
+            except OSError:
+                self.empty = now
+                if now >= until:
+                    return
+                select.select([self._socket], [], [], (until - now) * self._clock.slow)
+            else:
+                yield datagram, self._clock.now()
+
+
+def connected(host: str, port: int) -> socket.socket:
+    """A UDP socket for a robot's address.
+
+    Raises:
+        LinkError: There is no such host, or no way to it.
+    """
+    opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    opened.setblocking(False)
+    try:
+        opened.connect((host, port))
+    except OSError as error:
+        opened.close()
+        raise LinkError(f"no way to {host}:{port}: {error.strerror or error}") from error
+    return opened
+
+
+def let_down(robot: RobotSocket, settings: Go1Settings, clock: Clock, least: float = 0.0) -> None:
+    """Let the robot down without the state machine, after a failure.
+
+    Damps the motors for `settings.damp_time`, but no shorter than `least` [s]; then commands them to do
+    nothing.
+    """
+    period, end = 1.0 / settings.rate, clock.now() + max(settings.damp_time, least)
+    damped = MotorCommand(velocity=np.zeros(12), kd=np.full(12, settings.damping))
+    while clock.now() < end:
+        robot.send(encode_command(damped, settings.crc))
+        clock.sleep_until(clock.now() + period)
+    robot.send(encode_command(MotorCommand(), settings.crc))
+
+
+#: Turns of the motors' mode whose echoes are timed, and the time given to one [s].
+_TURNS, _PATIENCE = 10, 0.1
+#: Shortest and longest time over which the robot's clock is compared with ours [s]: states may be late.
+_PACED, _PACED_LONGEST = 0.25, 1.0
+#: How far the pace may be from 1: clocks differ by far less, a forgotten `slow` by far more.
+_PACE_ERROR = 0.05
+#: Motors that nobody drives have less torque than this [N m].
+_DRIVING = 2.0
+#: Number of states over which the share is taken, and the most missing ones that a pause counts as.
+_SPAN, _PAUSE = 200, 10
+
+
+class Share:
+    """Share of the robot's states that reach us: with a second program at the same robot it is about a half.
+
+    A long pause counts little, because it is another fault and is reported as that.
+    """
+
+    def __init__(self) -> None:
+        self._gaps: deque[tuple[int, int]] = deque()
+        self._last: int | None = None
+
+    def see(self, tick: int) -> float:
+        """Take in the tick of a state; the share of the last 200 that came, from 0 to 1."""
+        missing = 0 if self._last is None else tick - self._last - 1
+        self._last = tick
+        if missing > 0:
+            self._gaps.append((tick, min(missing, _PAUSE)))
+        while self._gaps and tick - self._gaps[0][0] >= _SPAN:
+            self._gaps.popleft()
+        return 1.0 - min(1.0, sum(gap for _, gap in self._gaps) / _SPAN)
+
+
+@dataclass(slots=True)
+class Contact:
+    """Counts what arrives before anything moves, and times echoes.
+
+    A state contains each motor's mode. Servo mode without gains and damping mode both leave a motor alone, so
+    that switching from one to the other moves nothing, and the echo gives the round-trip time.
+
+    Attributes:
+        mode: Mode to command now.
+        driven: Whether another program drives the motors.
+        pace: Recent seconds of the robot's clock per second of ours; 0: not known yet.
+    """
+
+    mode: int = DAMPED
+    driven: bool = False
+    pace: float = 0.0
+    _paced: tuple[int, float] = (0, -math.inf)
+    _echoes: list[float] = field(default_factory=list)
+    _turned: float = -1.0
+    _good: int = 0
+    _ticks: tuple[int, int] | None = None
+    _strange: Counter[tuple[int, str]] = field(default_factory=Counter)
+
+    def turn(self, now: float) -> int:
+        """The motors' mode to command at a time [s]."""
+        if self._turned < 0.0 or now - self._turned > _PATIENCE:
+            self._turned = now
+            self.mode = DAMPED if self.mode == SERVO else SERVO
+        if self.complete:
+            self.mode = SERVO
+        return self.mode
+
+    def see(self, state: RobotState, arrival: float) -> None:
+        """Take in a good state."""
+        self._good += 1
+        self._ticks = (self._ticks[0] if self._ticks else state.tick, state.tick)
+        if not self.complete and self._turned >= 0.0 and (state.modes == self.mode).all():
+            self._echoes.append(arrival - self._turned)
+            self._turned = -1.0
+        self.driven = bool((state.modes == SERVO).all() and np.abs(state.torques).max() > _DRIVING)
+        self._see_pace(state.tick, arrival)
+
+    def _see_pace(self, tick: int, arrival: float) -> None:
+        since = arrival - self._paced[1]
+        if since >= _PACED:
+            self.pace = 1e-3 * (tick - self._paced[0]) / since
+        if since >= _PACED_LONGEST:
+            self._paced = tick, arrival
+
+    def see_strange(self, size: int, why: str) -> None:
+        """Count a datagram of so many bytes that is not a state, and why it is none."""
+        self._strange[size, why] += 1
+
+    @property
+    def complete(self) -> bool:
+        """Whether enough echoes have come."""
+        return len(self._echoes) >= _TURNS
+
+    @property
+    def round_trip(self) -> float:
+        """Time for a command to go there and back [s]; 0 before the first echo."""
+        return statistics.median(self._echoes) if self._echoes else 0.0
+
+    @property
+    def in_step(self) -> bool:
+        """Whether the robot's time goes as fast as ours."""
+        return abs(self.pace - 1.0) <= _PACE_ERROR
+
+    @property
+    def report(self) -> dict[str, Any]:
+        """The findings as plain values; `share` is that of the robot's states that arrived."""
+        expected = self._ticks[1] - self._ticks[0] + 1 if self._ticks else 0
+        (size, why), _ = (self._strange.most_common(1) or [((0, ""), 0)])[0]
+        return {
+            "complete": self.complete,
+            "pace": round(self.pace, 3),
+            "in_step": self.in_step,
+            "round_trip_ms": round(1e3 * self.round_trip, 2),
+            "states": self._good,
+            "share": round(min(1.0, self._good / expected), 3) if expected > 0 else 0.0,
+            "strange": sum(self._strange.values()),
+            "strange_size": size,
+            "strange_why": why,
+        }
+
 
 _BIN, _BINS = 1e-5, 10_000
 #: Reports are sent at every change, and at least so often [s]: the program takes silence for our end.
@@ -45,7 +253,7 @@ _DRIVEN = (
 )
 
 
-class DrivenError(wire.LinkError):
+class DrivenError(LinkError):
     """Another program drives the robot: then it is not ours to let down either."""
 
 
@@ -154,8 +362,8 @@ class Sender:
     def _read_robot(self, until: float) -> None:
         for datagram, arrival in self._robot.received(until):
             try:
-                read = state.decode(datagram, self._settings.crc)
-            except wire.PacketError as error:
+                read = decode_state(datagram, self._settings.crc)
+            except PacketError as error:
                 self._inbox.bad_packets += 1
                 self._contact.see_strange(len(datagram), str(error))
                 continue
@@ -215,7 +423,7 @@ class Sender:
             command = MotorCommand(self._contact.turn(now))
         if self._clock.now() - now > self._settings.trips.packet_gap:  # we stalled just now: too old to send
             return
-        if self._robot.send(encode(command, self._settings.crc)):
+        if self._robot.send(encode_command(command, self._settings.crc)):
             self._intervals.see(now)
             self._sent.add(now, self._machine.commanded)
 

@@ -21,16 +21,13 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import AmheError
 from amhe_cli.core.samples import Samples
 from amhe_cli.robots.go1.kinematics import HOME
-from amhe_cli.robots.go1.link.child import Opened, planning_first
-from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.link import Link
-from amhe_cli.robots.go1.link.mail import SAMPLE, Phase, SenderReport, StoppedError
-from amhe_cli.robots.go1.link.motion import Followed, Targets
+from amhe_cli.robots.go1.link.mail import SAMPLE, Followed, Phase, SenderReport, StoppedError, Targets
+from amhe_cli.robots.go1.link.process import Clock, Opened, planning_first
 from amhe_cli.robots.go1.model import Box
 from amhe_cli.robots.go1.poses.feed import PoseFeed, TimedPose
-from amhe_cli.robots.go1.poses.frame import World, check_axes, check_place, offset_pose, tilt_offset
-from amhe_cli.robots.go1.poses.gate import Gate
-from amhe_cli.robots.go1.poses.source import Pose, PoseError
+from amhe_cli.robots.go1.poses.gate import Gate, World, check_axes, check_place, offset_pose, tilt_offset
+from amhe_cli.robots.go1.poses.sources import Pose, PoseError
 from amhe_cli.robots.go1.poses.witness import Witness
 from amhe_cli.robots.go1.settings import Go1Settings, deviations
 from amhe_cli.robots.go1.state import State

@@ -12,12 +12,8 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.robots.go1.link.child import POSES, Child, Opened, Pipe, begun, take_priority
-from amhe_cli.robots.go1.link.clock import Clock, ClockMap
-from amhe_cli.robots.go1.poses.motioncapture import MotionCapture
-from amhe_cli.robots.go1.poses.natnet import NatNet
-from amhe_cli.robots.go1.poses.source import PoseError, PoseSource, Sighting
-from amhe_cli.robots.go1.poses.udp import UdpPoses
+from amhe_cli.robots.go1.link.process import POSES, Child, Clock, ClockMap, Opened, Pipe, begun, take_priority
+from amhe_cli.robots.go1.poses.sources import MotionCapture, NatNet, PoseError, PoseSource, Sighting, UdpPoses
 from amhe_cli.robots.go1.settings import PoseSettings
 
 KINDS = ("natnet", "motioncapture", "udp")

@@ -15,12 +15,12 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, sealed
 from amhe_cli.core.rotations import conjugate, mean, multiply, rotate
+from amhe_cli.robots.go1.kalman import ValueFilter
 from amhe_cli.robots.go1.kinematics import FOOT_RADIUS, feet
-from amhe_cli.robots.go1.poses.frame import up
-from amhe_cli.robots.go1.poses.source import Pose
-from amhe_cli.robots.go1.state_estimator.kalman import ValueFilter
-from amhe_cli.robots.go1.state_estimator.sensing import Pose as Seen
-from amhe_cli.robots.go1.state_estimator.sensing import trunk_velocities
+from amhe_cli.robots.go1.poses.gate import up
+from amhe_cli.robots.go1.poses.sources import Pose
+from amhe_cli.robots.go1.state_estimator import Pose as Seen
+from amhe_cli.robots.go1.state_estimator import trunk_velocities
 
 #: Ways are compared over this time [s], and where robot and box are is averaged over that.
 _WINDOW, _BRIEF = 0.3, 0.1

@@ -9,11 +9,9 @@ from itertools import accumulate
 import numpy as np
 
 from amhe_cli.core.rotations import yaw_of
-from amhe_cli.robots.go1.behaviours.course import Course
 from amhe_cli.robots.go1.behaviours.gait import Gait
-from amhe_cli.robots.go1.behaviours.objective import PushWeights, Reference
-from amhe_cli.robots.go1.behaviours.steering import Helm
-from amhe_cli.robots.go1.behaviours.walking import WalkGains, Walking
+from amhe_cli.robots.go1.behaviours.objective import Course, PushWeights, Reference
+from amhe_cli.robots.go1.behaviours.walking import Helm, WalkGains, Walking
 from amhe_cli.robots.go1.model import Box
 from amhe_cli.robots.go1.state import State
 from amhe_cli.robots.go1.tasks import LONGEST, SPEED, TAPER, Believed, Task

@@ -20,7 +20,7 @@ from amhe_cli.estimation.design.information import clips_of, information_at
 from amhe_cli.estimation.design.probe import ActuatorProbe, Probe, ProbeOptions, Say, believing
 from amhe_cli.live.loop import drive
 from amhe_cli.logs import read_log
-from amhe_cli.robots.go1.history import History
+from amhe_cli.robots.go1.judge import History
 from amhe_cli.robots.go1.model import SYSTEM
 from amhe_cli.robots.go1.probing.motions import (
     APPROACH,

@@ -20,7 +20,7 @@ from amhe_cli.robots.go1.behaviours.gait import (
     standing,
     walk,
 )
-from amhe_cli.robots.go1.behaviours.tripod import FREE, SHIFT, Tripod, stand_on_three
+from amhe_cli.robots.go1.behaviours.sweeping import FREE, SHIFT, Tripod, stand_on_three
 from amhe_cli.robots.go1.model import Box, planner_model, plant_model
 from tests.robots.go1.playing import FAR, play
 

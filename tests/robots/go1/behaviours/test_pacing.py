@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from amhe_cli.robots.go1.behaviours.steering import Pacing
+from amhe_cli.robots.go1.behaviours.walking import Pacing
 
 PERIOD = 0.02
 

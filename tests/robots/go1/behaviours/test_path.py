@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.robots.go1.behaviours.course import Course
-from amhe_cli.robots.go1.behaviours.objective import wrapped
+from amhe_cli.robots.go1.behaviours.objective import Course, wrapped
 from amhe_cli.robots.go1.tasks import find_task
 
 FEW = settings(max_examples=25, deadline=None)

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 
 from amhe_cli.core import rotations
 from amhe_cli.core.rotations import yaw_of
-from amhe_cli.robots.go1.behaviours.course import Course
-from amhe_cli.robots.go1.behaviours.objective import BUMPER, Reference, wrapped
-from amhe_cli.robots.go1.behaviours.steering import Helm, Insisting, Retreat, Steering
+from amhe_cli.robots.go1.behaviours.objective import BUMPER, Course, Reference, wrapped
+from amhe_cli.robots.go1.behaviours.walking import Helm, Insisting, Retreat, Steering
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.model import Box, home, layout, plant_model
 from amhe_cli.robots.go1.state import Body, State

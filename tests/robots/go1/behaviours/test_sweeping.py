@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from amhe_cli.robots.go1.behaviours.course import Course
 from amhe_cli.robots.go1.behaviours.gait import Gait, neutral_feet
+from amhe_cli.robots.go1.behaviours.objective import Course
 from amhe_cli.robots.go1.behaviours.sweeping import Sweeping, SweepShape
 from amhe_cli.robots.go1.kinematics import joint_angles
 from amhe_cli.robots.go1.state import Body, State

@@ -13,16 +13,18 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.robots.go1.emulator.body import EmulatedBody
-from amhe_cli.robots.go1.emulator.emulator import Emulator, EmulatorOptions
-from amhe_cli.robots.go1.emulator.faults import Faults, parse_faults
-from amhe_cli.robots.go1.emulator.motive import Motive
-from amhe_cli.robots.go1.emulator.robot_port import PortError, RobotPort
+from amhe_cli.robots.go1.emulator.emulator import EmulatedBody, Emulator, EmulatorOptions
+from amhe_cli.robots.go1.emulator.ports import Faults, Motive, PortError, RobotPort, parse_faults
 from amhe_cli.robots.go1.kinematics import HOME, TORQUE_LIMIT
-from amhe_cli.robots.go1.link import command, state, wire
-from amhe_cli.robots.go1.link.command import MotorCommand
-from amhe_cli.robots.go1.poses.natnet import NatNet
-from amhe_cli.robots.go1.poses.source import PoseError
+from amhe_cli.robots.go1.link.packets import (
+    DAMPED,
+    SERVO,
+    MotorCommand,
+    PacketError,
+    decode_state,
+    encode_command,
+)
+from amhe_cli.robots.go1.poses.sources import NatNet, PoseError
 from amhe_cli.robots.go1.tasks import find_task
 from tests.robots.go1.emulator.emulating import emulating
 from tests.robots.go1.link.makers import a_state
@@ -38,7 +40,7 @@ def lying() -> EmulatedBody:
 
 
 def servo(position: np.ndarray, kp: float = 60.0, kd: float = 3.0) -> MotorCommand:
-    return MotorCommand(wire.SERVO, position, np.zeros(12), np.zeros(12), np.full(12, kp), np.full(12, kd))
+    return MotorCommand(SERVO, position, np.zeros(12), np.zeros(12), np.full(12, kp), np.full(12, kd))
 
 
 def stands_up(body: EmulatedBody) -> None:
@@ -49,7 +51,7 @@ def stands_up(body: EmulatedBody) -> None:
 
 
 def test_it_lies_with_folded_calves_stands_up_and_sinks_when_damped(lying: EmulatedBody) -> None:
-    state, _ = lying.obey(MotorCommand(wire.DAMPED))
+    state, _ = lying.obey(MotorCommand(DAMPED))
     assert 0.05 < lying.state.trunk.position[2] < 0.12
     assert (state.joints[2::3] < -2.6).all()
     stands_up(lying)
@@ -58,7 +60,7 @@ def test_it_lies_with_folded_calves_stands_up_and_sinks_when_damped(lying: Emula
     assert state.accelerometer[2] == pytest.approx(9.81, abs=1.5)
     weight = (state.foot_force - [12, -7, 20, 3]).sum() / 1.2
     assert weight == pytest.approx(12.7 * 9.81, rel=0.25)
-    assert (state.modes == wire.SERVO).all()
+    assert (state.modes == SERVO).all()
     for _ in range(1500):
         state, _ = lying.obey(MotorCommand(velocity=np.zeros(12), kd=np.full(12, 3.0)))
     assert lying.state.trunk.position[2] < 0.16
@@ -95,13 +97,13 @@ def test_the_port_answers_the_last_sender_and_takes_only_good_commands() -> None
         for client in (one, other):
             client.bind(("127.0.0.1", 0))
             client.settimeout(1.0)
-        good = command.encode(servo(HOME))
+        good = encode_command(servo(HOME))
         for client, datagram in ((one, good), (one, good[:-1]), (other, b"\0" * 614), (other, good)):
             client.sendto(datagram, port.address)
         assert len(port.receive(0.0)) == 2
         assert (port.accepted, port.rejected) == (2, 2)
         port.send(a_state(tick=77), 0.0)
-        assert state.decode(other.recv(2000)).tick == 77
+        assert decode_state(other.recv(2000)).tick == 77
         one.settimeout(0.05)
         with pytest.raises(TimeoutError):
             one.recv(2000)
@@ -113,7 +115,7 @@ def test_a_lossy_late_line_loses_delays_and_damages() -> None:
     port = RobotPort("127.0.0.1", 0, faults)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
         for _ in range(200):
-            client.sendto(command.encode(servo(HOME)), port.address)
+            client.sendto(encode_command(servo(HOME)), port.address)
         assert port.receive(1.0) == []
         assert 60 < len(port.receive(1.006)) < 160
         for tick in range(200):
@@ -127,8 +129,8 @@ def test_a_lossy_late_line_loses_delays_and_damages() -> None:
             except BlockingIOError:
                 break
             try:
-                good.add(state.decode(datagram).tick)
-            except wire.PacketError:
+                good.add(decode_state(datagram).tick)
+            except PacketError:
                 bad += 1
         assert 50 < len(good) < 110
         assert 5 < bad < 50
@@ -143,13 +145,13 @@ def test_a_line_is_good_until_its_faults_begin() -> None:
     ):
         client.settimeout(5.0)
         client.connect(("127.0.0.1", emulated.port))
-        client.send(command.encode(servo(FOLDED, kp=0.0)))  # drives nothing yet
-        ticks = [state.decode(client.recv(2000)).tick for _ in range(400)]
-        client.send(command.encode(servo(FOLDED, kp=1.0)))
+        client.send(encode_command(servo(FOLDED, kp=0.0)))  # drives nothing yet
+        ticks = [decode_state(client.recv(2000)).tick for _ in range(400)]
+        client.send(encode_command(servo(FOLDED, kp=1.0)))
         client.settimeout(0.5)
         with pytest.raises(TimeoutError):
             while True:
-                ticks.append(state.decode(client.recv(2000)).tick)
+                ticks.append(decode_state(client.recv(2000)).tick)
     assert ticks == sorted(ticks)
     assert ticks[-1] - ticks[0] < 1.2 * len(ticks), "a busy machine loses some"
     assert 590 < len(ticks) < 1000  # 200 after the command, and what was on the way before it
@@ -305,8 +307,8 @@ def test_the_command_serves_says_where_and_ends_in_order() -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
             client.settimeout(5.0)
             client.connect(("127.0.0.1", emulated.port))
-            client.send(command.encode(MotorCommand()))
-            ticks = [state.decode(client.recv(2000)).tick for _ in range(50)]
+            client.send(encode_command(MotorCommand()))
+            ticks = [decode_state(client.recv(2000)).tick for _ in range(50)]
         assert (np.diff(ticks) == 1).all()
     assert "1 commands, 0 damaged" in emulated.stderr
     assert emulated.process.returncode == 0

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from amhe_cli.robots.go1.behaviours.gait import Gait, walk
-from amhe_cli.robots.go1.emulator.body import STEP, EmulatedBody
-from amhe_cli.robots.go1.link.command import MotorCommand
-from amhe_cli.robots.go1.link.machine import Machine
-from amhe_cli.robots.go1.link.mail import Inbox, Phase
-from amhe_cli.robots.go1.link.motion import Targets
-from amhe_cli.robots.go1.link.trips import tilt
+from amhe_cli.robots.go1.emulator.emulator import STEP, EmulatedBody
+from amhe_cli.robots.go1.link.machine import Machine, tilt
+from amhe_cli.robots.go1.link.mail import Inbox, Phase, Targets
+from amhe_cli.robots.go1.link.packets import MotorCommand
 from amhe_cli.robots.go1.settings import Go1Settings
 from amhe_cli.robots.go1.tasks import find_task
 

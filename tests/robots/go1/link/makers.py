@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.robots.go1.kinematics import HOME
-from amhe_cli.robots.go1.link import wire
-from amhe_cli.robots.go1.link.state import RobotState
+from amhe_cli.robots.go1.link.packets import SERVO, RobotState
 
 #: Legs of a robot that lies, calves folded.
 FOLDED = np.tile([0.0, 1.25, -2.75], 4)
@@ -20,7 +19,7 @@ def a_state(**changes: Any) -> RobotState:
     return replace(
         RobotState(
             tick=1, quaternion=np.array([1.0, 0, 0, 0]), gyro=np.zeros(3),
-            accelerometer=np.array([0, 0, 9.81]), modes=np.full(12, wire.SERVO),
+            accelerometer=np.array([0, 0, 9.81]), modes=np.full(12, SERVO),
             joints=np.array(HOME), joint_rates=np.zeros(12), torques=np.zeros(12),
             temperatures=np.full(12, 30.0), foot_force=np.full(4, 30.0), charge=80,
         ),

@@ -11,9 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from amhe_cli.robots.go1.link import command, state, wire
-from amhe_cli.robots.go1.link.command import MotorCommand
-from amhe_cli.robots.go1.link.state import RobotState
+from amhe_cli.robots.go1.link.packets import DAMPED, MotorCommand, RobotState, decode_command, encode_state
 from tests.robots.go1.link.makers import FOLDED, a_state
 
 
@@ -58,14 +56,14 @@ class Puppet:
         raise AssertionError("the command never came")
 
     def _serve(self) -> None:
-        begun, peer, joints, mode, ticks = time.monotonic(), None, np.array(FOLDED), wire.DAMPED, 1
+        begun, peer, joints, mode, ticks = time.monotonic(), None, np.array(FOLDED), DAMPED, 1
         while not self._stop.wait(0.0005):
             while True:
                 try:
                     datagram, peer = self._socket.recvfrom(2048)
                 except OSError:
                     break
-                got = command.decode(datagram)
+                got = decode_command(datagram)
                 self.received.append((time.monotonic(), got))
                 mode = got.mode
                 if got.kp.max() > 0:
@@ -73,7 +71,7 @@ class Puppet:
             done = int(1e3 * (time.monotonic() - begun))
             for tick in range(ticks, done):
                 sent = self.change(replace(a_state(tick=tick, joints=joints), modes=np.full(12, mode)))
-                packet = self.mangle(state.encode(sent))
+                packet = self.mangle(encode_state(sent))
                 if peer and packet is not None:
                     self._socket.sendto(packet, peer)
             ticks = max(ticks, done)

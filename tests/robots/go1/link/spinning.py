@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from amhe_cli.robots.go1.link import sender
-from amhe_cli.robots.go1.link.command import MotorCommand
+from amhe_cli.robots.go1.link.packets import MotorCommand
 
 _WELL, _LONG = 50, 5.0
 

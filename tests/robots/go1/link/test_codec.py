@@ -8,10 +8,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from amhe_cli.robots.go1.link import command, state, wire
-from amhe_cli.robots.go1.link.command import MotorCommand
-from amhe_cli.robots.go1.link.state import Remote
-from amhe_cli.robots.go1.link.wire import LinkError, PacketError, crc32, encrypted
+from amhe_cli.robots.go1.link.packets import (
+    DAMPED,
+    SERVO,
+    LinkError,
+    MotorCommand,
+    PacketError,
+    Remote,
+    crc32,
+    decode_command,
+    decode_state,
+    encode_command,
+    encode_state,
+    encrypted,
+    seal,
+)
 from tests.robots.go1.link.makers import a_state
 
 FIELDS = {"position": 1e6, "velocity": 1e4, "torque": 127.9, "kp": 1023.0, "kd": 2047.0}
@@ -25,7 +36,7 @@ def single(size: float, width: int = 12) -> st.SearchStrategy:
 
 COMMANDS = st.builds(
     MotorCommand,
-    mode=st.sampled_from([wire.SERVO, wire.DAMPED]),
+    mode=st.sampled_from([SERVO, DAMPED]),
     **{name: single(float(np.float32(size))) for name, size in FIELDS.items()},
 )
 
@@ -36,7 +47,7 @@ def test_the_checksum_is_the_published_one() -> None:
 
 
 def test_a_command_that_does_nothing_is_the_vendors_byte_for_byte() -> None:
-    packet = command.encode(MotorCommand())
+    packet = encode_command(MotorCommand())
     assert len(packet) == 614
     assert packet[:3].hex() == "feefff"
     assert packet[22:31].hex() == "0ab9d2ff4e00007a46"
@@ -55,7 +66,7 @@ def test_a_command_that_does_nothing_is_the_vendors_byte_for_byte() -> None:
 def test_numbers_are_cut_as_the_firmware_cuts_them(field, offset, value, golden) -> None:
     values = np.zeros(12)
     values[3] = value
-    packet = command.encode(MotorCommand(**{field: values}))
+    packet = encode_command(MotorCommand(**{field: values}))
     at = 22 + 27 * 3 + offset
     assert packet[at : at + len(golden) // 2].hex() == golden
 
@@ -63,7 +74,7 @@ def test_numbers_are_cut_as_the_firmware_cuts_them(field, offset, value, golden)
 @settings(deadline=None, max_examples=50)
 @given(COMMANDS, st.sampled_from(["plain", "encrypted"]))
 def test_a_command_comes_back_cut_to_the_firmwares_steps(sent: MotorCommand, form) -> None:
-    read = command.decode(command.encode(sent, form))
+    read = decode_command(encode_command(sent, form))
     assert read.mode == sent.mode
     for name in FIELDS:
         expected = np.asarray(getattr(sent, name), dtype=np.float32)
@@ -75,9 +86,9 @@ def test_a_command_comes_back_cut_to_the_firmwares_steps(sent: MotorCommand, for
 @settings(deadline=None, max_examples=50)
 @given(COMMANDS)
 def test_no_command_can_switch_the_battery_off(sent: MotorCommand) -> None:
-    packet = command.encode(sent)
+    packet = encode_command(sent)
     assert packet[562:610] == bytes(48)
-    assert packet[22 + 27 * 12 : 562] == command.encode(MotorCommand())[22 + 27 * 12 : 562]
+    assert packet[22 + 27 * 12 : 562] == encode_command(MotorCommand())[22 + 27 * 12 : 562]
 
 
 @pytest.mark.parametrize(
@@ -87,7 +98,7 @@ def test_what_would_wrap_is_refused(field: str, value: float) -> None:
     values = np.zeros(12)
     values[5] = value
     with pytest.raises(LinkError, match=rf"{field} of {abs(value):g} does not fit"):
-        command.encode(MotorCommand(**{field: values}))
+        encode_command(MotorCommand(**{field: values}))
 
 
 @pytest.mark.parametrize("field", FIELDS)
@@ -96,7 +107,7 @@ def test_what_is_not_finite_is_refused(field: str, value: float) -> None:
     values = np.zeros(12)
     values[11] = value
     with pytest.raises(LinkError):
-        command.encode(MotorCommand(**{field: values}))
+        encode_command(MotorCommand(**{field: values}))
 
 
 @settings(deadline=None, max_examples=50)
@@ -106,7 +117,7 @@ def test_a_state_comes_back(joints, rates, torques, quaternion, gyro, tick) -> N
         tick=tick, joints=joints, joint_rates=rates, torques=torques, quaternion=quaternion, gyro=gyro,
         remote=Remote(frozenset({"L2", "B"})).raw(),
     )  # fmt: skip
-    read = state.decode(state.encode(sent))
+    read = decode_state(encode_state(sent))
     assert (read.tick, read.charge, read.remote) == (tick, sent.charge, sent.remote)
     for name in ("joints", "joint_rates", "quaternion", "gyro", "modes", "temperatures", "foot_force"):
         np.testing.assert_array_equal(getattr(read, name), np.float32(getattr(sent, name)))
@@ -117,8 +128,8 @@ def test_a_state_comes_back(joints, rates, torques, quaternion, gyro, tick) -> N
 @given(st.data())
 def test_one_wrong_bit_is_noticed_wherever_the_checksum_reaches(data) -> None:
     for packet, decode, covered in (
-        (command.encode(MotorCommand()), command.decode, 608),
-        (state.encode(a_state()), state.decode, 800),
+        (encode_command(MotorCommand()), decode_command, 608),
+        (encode_state(a_state()), decode_state, 800),
     ):
         position = data.draw(st.integers(0, covered - 1))
         broken = bytearray(packet)
@@ -130,17 +141,17 @@ def test_one_wrong_bit_is_noticed_wherever_the_checksum_reaches(data) -> None:
 @settings(deadline=None, max_examples=100)
 @given(st.binary(max_size=1200))
 def test_rubbish_is_a_bad_packet_and_nothing_else(datagram: bytes) -> None:
-    for decode in (command.decode, state.decode):
+    for decode in (decode_command, decode_state):
         with pytest.raises(PacketError):
             decode(datagram)
 
 
 def test_the_robots_side_takes_either_checksum_and_ours_only_the_plain_one() -> None:
-    packet = command.encode(MotorCommand(), "encrypted")
-    assert command.decode(packet).mode == wire.SERVO
-    sealed = wire.seal(bytearray(state.encode(a_state())), "encrypted")
+    packet = encode_command(MotorCommand(), "encrypted")
+    assert decode_command(packet).mode == SERVO
+    sealed = seal(bytearray(encode_state(a_state())), "encrypted")
     with pytest.raises(PacketError, match="checksum"):
-        state.decode(sealed)
+        decode_state(sealed)
 
 
 def test_keys_of_the_remote() -> None:
@@ -153,6 +164,6 @@ def test_keys_of_the_remote() -> None:
 
 @pytest.mark.filterwarnings("error")
 def test_a_signalling_nan_is_read_as_one_without_a_word() -> None:
-    record = bytearray(state.encode(a_state()))
+    record = bytearray(encode_state(a_state()))
     record[22:26] = bytes.fromhex("010080ff")
-    assert np.isnan(state.decode(wire.seal(record)).quaternion[0])
+    assert np.isnan(decode_state(seal(record)).quaternion[0])

@@ -6,9 +6,9 @@ import re
 from dataclasses import fields
 from pathlib import Path
 
-from amhe_cli.robots.go1.emulator.faults import Faults
+from amhe_cli.robots.go1.emulator.ports import Faults
+from amhe_cli.robots.go1.link.machine import TRIPS
 from amhe_cli.robots.go1.link.mail import Phase
-from amhe_cli.robots.go1.link.trips import TRIPS
 from amhe_cli.robots.go1.settings import TripSettings
 
 PAGE = (Path(__file__).parents[4] / "docs" / "go1.md").read_text(encoding="utf-8")

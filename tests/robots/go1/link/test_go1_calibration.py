@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.rotations import exp, multiply
-from amhe_cli.robots.go1.emulator.body import EmulatedBody
+from amhe_cli.robots.go1.emulator.emulator import EmulatedBody
 from amhe_cli.robots.go1.kinematics import HOME, HOME_HEIGHT
-from amhe_cli.robots.go1.link import mail, wire
 from amhe_cli.robots.go1.link.calibration import Calibration, average, check_pivot, offset_of, trunk_height
-from amhe_cli.robots.go1.link.clock import Clock
-from amhe_cli.robots.go1.link.command import MotorCommand
+from amhe_cli.robots.go1.link.mail import SAMPLE
+from amhe_cli.robots.go1.link.packets import DAMPED, MotorCommand
+from amhe_cli.robots.go1.link.process import Clock
 from amhe_cli.robots.go1.model import Box
 from amhe_cli.robots.go1.poses.feed import TimedPose
-from amhe_cli.robots.go1.poses.frame import offset_pose, rigid_body
-from amhe_cli.robots.go1.poses.source import PoseError
+from amhe_cli.robots.go1.poses.gate import offset_pose, rigid_body
+from amhe_cli.robots.go1.poses.sources import PoseError
 from amhe_cli.robots.go1.settings import Go1Settings
 from amhe_cli.robots.go1.tasks import find_task
 
@@ -69,7 +69,7 @@ class Lying:
     def connect(self) -> None: ...
 
     def samples(self) -> list[Any]:
-        states = np.zeros(20, mail.SAMPLE)
+        states = np.zeros(20, SAMPLE)
         states["quaternion"] = TURN
         states["joints"] = FOLDED + self._rng.normal(0.0, 0.003, (20, 12))
         return list(states)
@@ -150,7 +150,7 @@ def test_a_lying_robot_is_at_rest_where_it_should_be_and_as_high_as_its_joints_s
     trunk = plant.state.trunk
     assert trunk_height(trunk.orientation, plant.state.joints) == pytest.approx(trunk.position[2], abs=0.002)
     for _ in range(1000):
-        plant.obey(MotorCommand(wire.DAMPED))
+        plant.obey(MotorCommand(DAMPED))
     after = plant.state.trunk
     np.testing.assert_allclose(after.position, trunk.position, atol=1e-3)
     np.testing.assert_allclose(after.position[:2], 0.0, atol=1e-3)

@@ -19,15 +19,14 @@ from amhe_cli.core.errors import OperatorStopError
 from amhe_cli.core.rotations import exp
 from amhe_cli.core.samples import Samples, merged
 from amhe_cli.robots.go1.kinematics import HOME
-from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.link import Link
-from amhe_cli.robots.go1.link.mail import SenderReport, StoppedError
-from amhe_cli.robots.go1.link.motion import Followed
-from amhe_cli.robots.go1.link.state import Remote
+from amhe_cli.robots.go1.link.mail import Followed, SenderReport, StoppedError
+from amhe_cli.robots.go1.link.packets import Remote
+from amhe_cli.robots.go1.link.process import Clock
 from amhe_cli.robots.go1.link.target import Go1Target
 from amhe_cli.robots.go1.model import Box
 from amhe_cli.robots.go1.poses.feed import FeedOptions, PoseFeed
-from amhe_cli.robots.go1.poses.source import PoseError
+from amhe_cli.robots.go1.poses.sources import PoseError
 from amhe_cli.robots.go1.settings import Go1Settings, deviations
 from tests.robots.go1.link.puppet import Puppet, damps
 from tests.robots.go1.link.test_link import QUICK

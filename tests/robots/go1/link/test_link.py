@@ -23,18 +23,13 @@ import pytest
 from amhe_cli.core.errors import OperatorStopError
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link import link as link_module
-from amhe_cli.robots.go1.link import mail, state, watch, wire
-from amhe_cli.robots.go1.link.child import SENDER, Child, Pipe, take_priority
-from amhe_cli.robots.go1.link.clock import Clock, ticks_ahead
-from amhe_cli.robots.go1.link.first_contact import Share
+from amhe_cli.robots.go1.link import link as watch
 from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.machine import Machine
-from amhe_cli.robots.go1.link.mail import Phase, StoppedError
-from amhe_cli.robots.go1.link.motion import Targets
-from amhe_cli.robots.go1.link.robot_socket import RobotSocket, connected
-from amhe_cli.robots.go1.link.sender import Sender
-from amhe_cli.robots.go1.link.state import Remote
-from amhe_cli.robots.go1.link.wire import LinkError
+from amhe_cli.robots.go1.link.mail import Inbox, Phase, SenderReport, StoppedError, Targets
+from amhe_cli.robots.go1.link.packets import SERVO, LinkError, Remote, decode_state, encode_state
+from amhe_cli.robots.go1.link.process import SENDER, Child, Clock, Pipe, take_priority, ticks_ahead
+from amhe_cli.robots.go1.link.sender import RobotSocket, Sender, Share, connected
 from amhe_cli.robots.go1.settings import Go1Settings
 from tests.robots.go1.link.makers import FOLDED, a_state
 from tests.robots.go1.link.puppet import Puppet, damps
@@ -168,8 +163,8 @@ def test_a_fault_of_the_robot_damps_the_motors(puppet: Puppet, fault: str, trip:
         if fault == "silence":
             puppet.mangle = lambda packet: None
         elif fault == "replay":  # two old states by turns: a clock that goes to and fro
-            old = [state.encode(a_state(tick=tick, joints=FOLDED)) for tick in (1, 3)]
-            puppet.mangle = lambda packet: old[state.decode(packet).tick % 2]
+            old = [encode_state(a_state(tick=tick, joints=FOLDED)) for tick in (1, 3)]
+            puppet.mangle = lambda packet: old[decode_state(packet).tick % 2]
         elif fault == "crc":
             puppet.mangle = lambda packet: packet[:-1] + bytes([packet[-1] ^ 1])
         else:
@@ -254,7 +249,7 @@ def test_signals_that_suspend_or_end_a_sender_are_reasons_to_stop(
     sender = Sender(QUICK, None, Mock(), CLOCK, -1, -1, False)  # type: ignore[arg-type]
     sender.stop_on(number)
     assert sender._inbox.stop == reason
-    assert type(mail.SenderReport(Phase.DAMP, "order", reason).stop) is stop
+    assert type(SenderReport(Phase.DAMP, "order", reason).stop) is stop
 
 
 @pytest.mark.parametrize(
@@ -387,7 +382,7 @@ def test_a_sender_that_stalled_damps_when_it_goes_on(puppet: Puppet) -> None:
 
 
 def test_a_plan_that_waited_in_the_pipe_is_as_old_as_it_is_and_the_first_reason_to_stop_stays() -> None:
-    inbox, plan = mail.Inbox(), Targets(1.0, 0.02, np.tile(HOME, (16, 1)))
+    inbox, plan = Inbox(), Targets(1.0, 0.02, np.tile(HOME, (16, 1)))
     for news in ({"plan": plan, "pose_time": 0.9, "plan_time": 1.0}, {"stop": "first"}, {"stop": "second"}):
         inbox.take(news)
     assert (inbox.plan, inbox.plan_time, inbox.pose_time, inbox.stop) == (plan, 1.0, 0.9, "first")
@@ -407,7 +402,7 @@ def test_what_a_process_said_last_is_read_after_it_has_gone() -> None:
 
 _PROGRAM = """
 import os, sys, time
-from amhe_cli.robots.go1.link.clock import Clock
+from amhe_cli.robots.go1.link.process import Clock
 from amhe_cli.robots.go1.link.link import Link
 from tests.robots.go1.link.test_link import QUICK, Player, running
 import signal
@@ -452,8 +447,8 @@ def test_a_program_that_is_killed_or_hangs_leaves_motors_damped_and_no_process(
 
 _INTERRUPTED = """
 import os, signal, sys, threading, time
-from amhe_cli.robots.go1.link import watch
-from amhe_cli.robots.go1.link.clock import Clock
+from amhe_cli.robots.go1.link import link as watch
+from amhe_cli.robots.go1.link.process import Clock
 from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.mail import Phase
 from tests.robots.go1.link.test_link import QUICK
@@ -517,7 +512,7 @@ def test_nobody_there() -> None:
         link.connect()
 
 
-ENCRYPTED = state.encode(a_state(), "encrypted")
+ENCRYPTED = encode_state(a_state(), "encrypted")
 
 
 @pytest.mark.parametrize(
@@ -537,7 +532,7 @@ def test_another_program_on_the_port(puppet: Puppet, answer: bytes, message: str
 
 
 def test_the_setting_of_the_checksum_holds_for_states_too(puppet: Puppet) -> None:
-    puppet.mangle = lambda packet: state.encode(state.decode(packet), "encrypted")
+    puppet.mangle = lambda packet: encode_state(decode_state(packet), "encrypted")
     with a_link(puppet, QUICK.model_copy(update={"crc": "encrypted"})) as link:
         link.connect()
 
@@ -581,7 +576,7 @@ def bound_port(end: socket.socket) -> int:
 
 def test_a_second_sender_is_noticed(puppet: Puppet) -> None:
     """It takes every other state away."""
-    puppet.mangle = lambda packet: packet if state.decode(packet).tick % 2 else None
+    puppet.mangle = lambda packet: packet if decode_state(packet).tick % 2 else None
     with a_link(puppet, HASTY) as link, pytest.raises(LinkError, match="another program"):
         link.connect()
 
@@ -603,7 +598,7 @@ def test_a_second_sender_that_comes_later_damps(puppet: Puppet) -> None:
         link.connect()
         link.stand()
         puppet.wait(lambda got: got.kp[0] > 10.0)
-        puppet.mangle = lambda packet: packet if state.decode(packet).tick % 2 else None
+        puppet.mangle = lambda packet: packet if decode_state(packet).tick % 2 else None
         puppet.wait(damps)
     assert link.report.trip == "share"
 
@@ -617,7 +612,7 @@ def test_the_share_of_states_that_arrive() -> None:
 
 
 def test_a_robot_that_takes_no_commands_is_noticed(puppet: Puppet) -> None:
-    puppet.change = lambda sent: replace(sent, modes=np.full(12, wire.SERVO))
+    puppet.change = lambda sent: replace(sent, modes=np.full(12, SERVO))
     with a_link(puppet, HASTY) as link, pytest.raises(LinkError, match="encrypted"):
         link.connect()
 
@@ -644,7 +639,7 @@ def test_a_robot_that_is_slowed_down_otherwise_is_noticed(puppet: Puppet, slow: 
     ],
 )
 def test_a_robot_in_no_condition_is_unfit(change: dict, message: str) -> None:
-    inbox = mail.Inbox(replace(a_state(), **change), state_time=1.0)
+    inbox = Inbox(replace(a_state(), **change), state_time=1.0)
     assert message in Machine(QUICK).unfit(1.0, inbox)
 
 

@@ -10,14 +10,10 @@ import numpy as np
 import pytest
 
 from amhe_cli.robots.go1.kinematics import HOME, TORQUE_LIMIT
-from amhe_cli.robots.go1.link import wire
-from amhe_cli.robots.go1.link.command import MotorCommand
-from amhe_cli.robots.go1.link.machine import Machine
-from amhe_cli.robots.go1.link.mail import Inbox, Phase
-from amhe_cli.robots.go1.link.motion import HIGHEST, LOWEST, Sent, Targets, allowed
+from amhe_cli.robots.go1.link.machine import TRIPS, Machine
+from amhe_cli.robots.go1.link.mail import HIGHEST, LOWEST, Inbox, Phase, Sent, Targets, allowed
+from amhe_cli.robots.go1.link.packets import SERVO, MotorCommand, Remote
 from amhe_cli.robots.go1.link.sender import next_tick
-from amhe_cli.robots.go1.link.state import Remote
-from amhe_cli.robots.go1.link.trips import TRIPS
 from amhe_cli.robots.go1.model import layout, planner_model
 from amhe_cli.robots.go1.settings import Go1Settings
 from tests.robots.go1.link.makers import FOLDED, a_state
@@ -80,7 +76,7 @@ def running(**settings) -> Robot:
 
 
 def is_damping(got: MotorCommand) -> bool:
-    return got.mode == wire.SERVO and got.kp.max() == 0.0 and got.kd.min() == 3.0
+    return got.mode == SERVO and got.kp.max() == 0.0 and got.kd.min() == 3.0
 
 
 def test_standing_up_is_slow_and_smooth_from_where_the_robot_lies() -> None:

@@ -19,9 +19,16 @@ import pytest
 from amhe_cli.core.errors import AmheError
 from amhe_cli.robots.go1.emulator.emulator import Emulator, EmulatorOptions
 from amhe_cli.robots.go1.link.calibration import Calibration
-from amhe_cli.robots.go1.link.child import PLANNER, POSES, SENDER, Child, planning_first, take_priority
-from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.link import Link
+from amhe_cli.robots.go1.link.process import (
+    PLANNER,
+    POSES,
+    SENDER,
+    Child,
+    Clock,
+    planning_first,
+    take_priority,
+)
 from amhe_cli.robots.go1.link.target import Go1Target
 from amhe_cli.robots.go1.model import Box
 from amhe_cli.robots.go1.poses.feed import FeedOptions, PoseFeed

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from amhe_cli.robots.go1.link.rehearsal import pace
-from amhe_cli.robots.go1.link.wire import LinkError
+from amhe_cli.robots.go1.link.open import pace
+from amhe_cli.robots.go1.link.packets import LinkError
 
 
 def cycles(ms: float, rollouts: int) -> list:

@@ -9,9 +9,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from amhe_cli.robots.go1.link import command, state, wire
-from amhe_cli.robots.go1.link.command import MotorCommand
-from amhe_cli.robots.go1.link.state import Remote
+from amhe_cli.robots.go1.link.packets import (
+    DAMPED,
+    HEAD,
+    SERVO,
+    STATE,
+    MotorCommand,
+    PacketError,
+    Remote,
+    decode_command,
+    decode_state,
+    encode_command,
+    encode_state,
+    opened,
+    seal,
+)
 from tests.robots.go1.link.makers import a_state
 
 sdk = pytest.importorskip(
@@ -57,7 +69,7 @@ def vendor() -> Iterator[Vendor]:
 
 def a_command(rng: np.random.Generator) -> MotorCommand:
     return MotorCommand(
-        int(rng.choice([wire.SERVO, wire.DAMPED])),
+        int(rng.choice([SERVO, DAMPED])),
         *(rng.uniform(-most, most, 12) for most in (3.0, 20.0, 40.0, 200.0, 20.0)),
     )
 
@@ -71,14 +83,14 @@ def test_our_commands_are_theirs_byte_for_byte(vendor: Vendor, form) -> None:
             motor.mode = ours.mode
             motor.q, motor.dq, motor.tau = ours.position[i], ours.velocity[i], ours.torque[i]
             motor.Kp, motor.Kd = ours.kp[i], ours.kd[i]
-        assert command.encode(ours, form) == vendor.sends(form == "encrypted")
+        assert encode_command(ours, form) == vendor.sends(form == "encrypted")
 
 
 def test_their_commands_are_read_as_they_are_meant(vendor: Vendor) -> None:
     for i, motor in enumerate(vendor.command.motorCmd[:12]):
         motor.q, motor.dq, motor.tau, motor.Kp, motor.Kd = 0.1 * i, -0.2 * i, 0.5 * i, 10.0 + i, 0.25 * i
-    read, i = command.decode(vendor.sends()), np.arange(12)
-    assert read.mode == wire.SERVO
+    read, i = decode_command(vendor.sends()), np.arange(12)
+    assert read.mode == SERVO
     for values, expected in (
         (read.position, 0.1 * i), (read.velocity, -0.2 * i), (read.torque, 0.5 * i),
         (read.kp, 10.0 + i), (read.kd, 0.25 * i),
@@ -94,7 +106,7 @@ def test_they_read_of_our_states_what_we_wrote(vendor: Vendor) -> None:
         temperatures=np.arange(20.0, 32.0), foot_force=np.array([10.0, -20, 300, 4000]), charge=63,
         remote=Remote(frozenset({"L2", "B"})).raw(), serial=(4, 3), version=(7, 9),
     )  # fmt: skip
-    assert vendor.reads(state.encode(sent)) == 0
+    assert vendor.reads(encode_state(sent)) == 0
     theirs = vendor.state
     assert (theirs.tick, theirs.bms.SOC, list(theirs.SN), list(theirs.version)) == (
         123456,
@@ -119,9 +131,9 @@ def test_every_byte_of_a_state_means_the_same_to_them_and_to_us(vendor: Vendor) 
     """Random bytes in every field: the whole layout, the fields that `RobotState` leaves out included."""
     rng = np.random.default_rng(2)
     packet = bytearray(rng.integers(0, 120, 807, dtype=np.uint8).tobytes())
-    packet[:3] = wire.HEAD + b"\xff"
-    assert vendor.reads(wire.seal(packet)) == 0
-    ours, theirs = wire.opened(bytes(packet), wire.STATE), vendor.state
+    packet[:3] = HEAD + b"\xff"
+    assert vendor.reads(seal(packet)) == 0
+    ours, theirs = opened(bytes(packet), STATE), vendor.state
     battery, scales = theirs.bms, {"torque": 256}
     names = {
         "mode": "mode", "position": "q", "velocity": "dq", "acceleration": "ddq", "torque": "tauEst",
@@ -151,7 +163,7 @@ def test_every_byte_of_a_state_means_the_same_to_them_and_to_us(vendor: Vendor) 
 
 
 def test_their_verdict_on_a_damaged_state_is_ours(vendor: Vendor) -> None:
-    rng, good = np.random.default_rng(3), state.encode(a_state())
+    rng, good = np.random.default_rng(3), encode_state(a_state())
     verdicts = []
     for _ in range(2000):
         packet = bytearray(good)
@@ -165,7 +177,7 @@ def test_their_verdict_on_a_damaged_state_is_ours(vendor: Vendor) -> None:
 
 def _we_accept(packet: bytes) -> bool:
     try:
-        state.decode(packet)
-    except wire.PacketError:
+        decode_state(packet)
+    except PacketError:
         return False
     return True

@@ -8,8 +8,8 @@ import threading
 import numpy as np
 
 from amhe_cli.core.rotations import exp, multiply, rotate
-from amhe_cli.robots.go1.link.clock import Clock
-from amhe_cli.robots.go1.poses import udp
+from amhe_cli.robots.go1.link.process import Clock
+from amhe_cli.robots.go1.poses.sources import pose_datagram
 
 #: A robot that lies somewhere, headed somewhere.
 TRUNK = (np.array([2.0, -1.0, 0.09]), exp(np.array([0.0, 0.0, 0.7])))
@@ -76,4 +76,4 @@ class Stage:
                 for number, (name, (true, pose)) in enumerate(self._bodies):
                     place = true + number * shift
                     if not self.silent:
-                        client.sendto(udp.datagram(name, now, place, pose), self._to)
+                        client.sendto(pose_datagram(name, now, place, pose), self._to)

@@ -18,10 +18,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from amhe_cli.robots.go1.link.clock import Clock, ClockMap
-from amhe_cli.robots.go1.poses import udp
+from amhe_cli.robots.go1.link.process import Clock, ClockMap
 from amhe_cli.robots.go1.poses.feed import FeedOptions, PoseFeed
-from amhe_cli.robots.go1.poses.source import PoseError
+from amhe_cli.robots.go1.poses.sources import PoseError, UdpPoses, pose_datagram, read_pose
 
 CLOCK = Clock()
 BODIES = ("go1", "box")
@@ -44,7 +43,7 @@ def sending(port: int, *bodies: str) -> Iterator[None]:
                 now = CLOCK.now() + 1000.0
                 for body in bodies:
                     place = np.array([now, 0.0, 0.1])
-                    message = udp.datagram(body, now, place, np.array([1.0, 0, 0, 0]))
+                    message = pose_datagram(body, now, place, np.array([1.0, 0, 0, 0]))
                     client.sendto(message, ("127.0.0.1", port))
 
     thread = threading.Thread(target=send)
@@ -168,7 +167,7 @@ def test_libmotioncapture_comes_through() -> None:
 @settings(deadline=None, max_examples=50)
 @given(st.binary(max_size=300) | st.text(max_size=200).map(str.encode))
 def test_rubbish_is_no_pose(message: bytes) -> None:
-    assert udp.read(message) is None
+    assert read_pose(message) is None
 
 
 @pytest.mark.parametrize(
@@ -177,7 +176,7 @@ def test_rubbish_is_no_pose(message: bytes) -> None:
              '{"body": "a", "position": [1, 2, 3], "orientation": [0, 0, 0, 0]}', "[]", '"x"', "7"],
 )  # fmt: skip
 def test_what_is_no_pose_is_left_out(message: str) -> None:
-    assert udp.read(message.encode()) is None
+    assert read_pose(message.encode()) is None
 
 
 def test_the_offset_of_a_clock_is_found_under_jitter_and_drift() -> None:
@@ -194,7 +193,7 @@ def test_the_offset_of_a_clock_is_found_under_jitter_and_drift() -> None:
 
 def test_poses_are_taken_from_the_first_that_sends_one(tmp_path: Path) -> None:
     port = free_port()
-    with closing(udp.UdpPoses("127.0.0.1", port)) as source, a_socket() as one, a_socket() as other:
+    with closing(UdpPoses("127.0.0.1", port)) as source, a_socket() as one, a_socket() as other:
         source.connect()
         for number in range(3):
             one.sendto(MESSAGE % (b"go1", number), ("127.0.0.1", port))
@@ -206,7 +205,7 @@ def test_poses_are_taken_from_the_named_port_only() -> None:
     port = free_port()
     with a_socket() as one, a_socket() as other:
         one.bind(("127.0.0.1", 0))
-        with closing(udp.UdpPoses("127.0.0.1", port, f"127.0.0.1:{one.getsockname()[1]}")) as source:
+        with closing(UdpPoses("127.0.0.1", port, f"127.0.0.1:{one.getsockname()[1]}")) as source:
             source.connect()
             other.sendto(MESSAGE % (b"box", 1), ("127.0.0.1", port))
             one.sendto(MESSAGE % (b"go1", 1), ("127.0.0.1", port))

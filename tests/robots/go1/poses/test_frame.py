@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.rotations import exp, multiply, rotate
-from amhe_cli.robots.go1.poses.frame import World, check_axes, check_place, offset_pose, tilt_offset
-from amhe_cli.robots.go1.poses.source import PoseError
+from amhe_cli.robots.go1.poses.gate import World, check_axes, check_place, offset_pose, tilt_offset
+from amhe_cli.robots.go1.poses.sources import PoseError
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 WANTED = np.array([0.6, 0.0, 0.15])

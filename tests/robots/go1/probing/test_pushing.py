@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from amhe_cli.robots.go1.behaviours.course import Course
 from amhe_cli.robots.go1.behaviours.gait import Gait
-from amhe_cli.robots.go1.behaviours.objective import BUMPER
+from amhe_cli.robots.go1.behaviours.objective import BUMPER, Course
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.probing.motions import (
     FASTEST,

@@ -1,0 +1,387 @@
+"""The ports of an emulated robot and of its cameras, and what can be made to go wrong: `loss=0.02,hot=10`.
+
+The robot answers whoever sent last, from the same socket. Motive's clients send their request from their
+command socket, get frames there, and repeat it within ten seconds. Frames come by the clock, never as an
+answer: a client that answers frames would be answered for ever.
+"""
+
+from __future__ import annotations
+
+import errno
+import heapq
+import itertools
+import socket
+import struct
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.errors import AmheError, ConfigError, one_of
+from amhe_cli.robots.go1.link.packets import (
+    DAMPED,
+    CrcForm,
+    MotorCommand,
+    PacketError,
+    Remote,
+    RobotState,
+    decode_command,
+    encode_state,
+)
+from amhe_cli.robots.go1.poses.sources import Pose
+
+
+@dataclass(frozen=True, slots=True)
+class Faults:
+    """Shares from 0 to 1, delays [s], and when things happen [s after the motors were first driven].
+
+    Args:
+        loss, duplicate: Share of datagrams, either way.
+        corrupt: Share of states that come damaged.
+        delay: Delay of all datagrams, either way [s].
+        after: Time at which these four begin; by default they act from the first datagram on.
+        silence: States stop: the cable is pulled.
+        stale: The robot's clock stands still.
+        remote: Somebody presses L2 + B.
+        hot, mode, battery, tilt, speed, power, nan: The robot reports this fault.
+        mocap: Motion capture stops.
+        frozen, frozen_box: The pose of trunk or box stays, and its times go on.
+        swap: Trunk and box have each other's name; 1: from the start.
+        yup: Motion capture has y upward; 1: from the start.
+        high: The robot is in high-level mode; 1: from the start.
+    """
+
+    loss: float = 0.0
+    duplicate: float = 0.0
+    corrupt: float = 0.0
+    delay: float = 0.0
+    after: float = -np.inf
+    silence: float = np.inf
+    stale: float = np.inf
+    remote: float = np.inf
+    hot: float = np.inf
+    mode: float = np.inf
+    battery: float = np.inf
+    tilt: float = np.inf
+    speed: float = np.inf
+    power: float = np.inf
+    nan: float = np.inf
+    mocap: float = np.inf
+    frozen: float = np.inf
+    frozen_box: float = np.inf
+    swap: float = 0.0
+    yup: float = 0.0
+    high: float = 0.0
+
+    def reported(self, state: RobotState, driven: float) -> RobotState:
+        """The state that the robot reports, so long after its motors were first driven [s]."""
+        for name, change in _TELLING.items():
+            if driven >= getattr(self, name):
+                state = change(state)
+        return state
+
+
+def parse_faults(text: str) -> Faults:
+    """'loss=0.02,delay=5ms' as values; times in s, or with ms.
+
+    Raises:
+        ConfigError: An unknown name, or no number.
+    """
+    names = [entry.name for entry in fields(Faults)]
+    given: dict[str, float] = {}
+    for part in filter(None, text.split(",")):
+        name, _, value = part.partition("=")
+        if name not in names:
+            raise ConfigError(one_of("fault", name, names))
+        try:
+            given[name] = 1e-3 * float(value[:-2]) if value.endswith("ms") else float(value.removesuffix("s"))
+        except ValueError:
+            raise ConfigError(f"`fault` {part}: write {name}=NUMBER, such as {name}=0.5") from None
+    return Faults(**given)
+
+
+def _one(values: FloatArray, value: float) -> FloatArray:
+    changed = np.array(values)
+    changed[4] = value
+    return changed
+
+
+_TELLING: dict[str, Callable[[RobotState], RobotState]] = {
+    "remote": lambda state: replace(state, remote=Remote(frozenset({"L2", "B"})).raw()),
+    "hot": lambda state: replace(state, temperatures=_one(state.temperatures, 95.0)),
+    "mode": lambda state: replace(state, modes=_one(state.modes.astype(float), 8.0).astype(int)),
+    "battery": lambda state: replace(state, charge=4),
+    "tilt": lambda state: replace(state, quaternion=np.array([np.cos(0.6), np.sin(0.6), 0.0, 0.0])),
+    "speed": lambda state: replace(state, joint_rates=_one(state.joint_rates, 40.0)),
+    "power": lambda state: replace(state, joint_rates=np.full(12, 7.0), torques=np.full(12, 12.0)),
+    "nan": lambda state: replace(state, joints=_one(state.joints, np.nan)),
+}
+
+
+@dataclass(slots=True)
+class Dice:
+    """Decides by chance what becomes of a datagram.
+
+    Args:
+        faults: Probabilities of loss, duplicates and damage.
+        rng: The source of chance.
+    """
+
+    faults: Faults
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+
+    def copies(self, datagram: bytes, inward: bool) -> list[bytes]:
+        """What arrives of a datagram: nothing, itself, itself twice, or something else."""
+        f = self.faults
+        if not (f.loss or f.duplicate or f.corrupt):
+            return [datagram]
+        lost, doubled, damaged = self.rng.random(3)
+        if lost < f.loss:
+            return []
+        if damaged < f.corrupt and not inward:
+            position = int(self.rng.integers(3, 600))
+            datagram = datagram[:position] + bytes([datagram[position] ^ 1]) + datagram[position + 1 :]
+        return [datagram] * (2 if doubled < f.duplicate else 1)
+
+
+_LARGEST = 2048
+_HIGH_LEVEL = bytes(1087)
+
+
+class PortError(AmheError):
+    """A port cannot be opened."""
+
+
+def bound(host: str, port: int, arguments: tuple[str, str] = ("port", "port")) -> socket.socket:
+    """A non-blocking UDP socket.
+
+    Args:
+        host, port: Address to bind.
+        arguments: What chooses the port here, and in the program that comes to it.
+
+    Raises:
+        PortError: Another program has the port, or this computer has no such address.
+    """
+    end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    end.setblocking(False)
+    try:
+        end.bind((host, port))
+    except OSError as error:
+        end.close()
+        here, there = arguments
+        other = f"; with another emulator there, give this one `{here}` and its `amhe run` the same `{there}`"
+        advice = other if error.errno == errno.EADDRINUSE else ""
+        raise PortError(f"port {port} of {host} cannot be had: {error.strerror or error}{advice}") from error
+    return end
+
+
+class RobotPort:
+    """The robot's end of the protocol.
+
+    Args:
+        host, port: Address to bind.
+        faults: What goes wrong on the way.
+        crc: Form of the states' checksums.
+
+    Attributes:
+        command: The newest good command; before the first, one that does nothing in damping mode.
+        accepted, rejected: Number of datagrams so far.
+        undisturbed: Loss, duplicates, damage and delay have not begun.
+        peer: The address that sent last; None: nobody yet.
+    """
+
+    def __init__(self, host: str, port: int, faults: Faults, crc: CrcForm = "plain") -> None:
+        self._socket = bound(host, port)
+        self._crc: CrcForm = crc
+        self.cause(faults)
+        self._waiting: list[tuple[float, int, bool, bytes]] = []
+        self._order = itertools.count()
+        self._received: list[MotorCommand] = []
+        self.command = MotorCommand(DAMPED)
+        self.accepted = self.rejected = 0
+        self.undisturbed = faults.after > -np.inf
+        self.peer: tuple[str, int] | None = None
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """The address at which it listens."""
+        return self._socket.getsockname()
+
+    def cause(self, faults: Faults) -> None:
+        """Replace the faults on the way from now on."""
+        self._faults, self._dice = faults, Dice(faults, np.random.default_rng(1))
+
+    def receive(self, now: float) -> list[MotorCommand]:
+        """Good commands that have come by a time [s]."""
+        while True:
+            try:
+                datagram, peer = self._socket.recvfrom(_LARGEST)
+            except OSError:  # nothing more; or an earlier peer has gone
+                break
+            self.peer = peer
+            self._delay(now, True, datagram)
+        self._deliver(now)
+        received, self._received = self._received, []
+        return received
+
+    def send(self, reported: RobotState, now: float) -> None:
+        """Send a state to the last sender."""
+        if self.peer is None:
+            return
+        self._delay(now, False, _HIGH_LEVEL if self._faults.high else encode_state(reported, self._crc))
+        self._deliver(now)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    def _delay(self, now: float, inward: bool, datagram: bytes) -> None:
+        copies, delay = [datagram], 0.0
+        if not self.undisturbed:
+            copies, delay = self._dice.copies(datagram, inward), self._faults.delay
+        for copy in copies:
+            heapq.heappush(self._waiting, (now + delay, next(self._order), inward, copy))
+
+    def _deliver(self, now: float) -> None:
+        while self._waiting and self._waiting[0][0] <= now:
+            _, _, inward, datagram = heapq.heappop(self._waiting)
+            if inward:
+                self._read(datagram)
+            elif self.peer is not None:
+                try:
+                    self._socket.sendto(datagram, self.peer)
+                except OSError:
+                    self.peer = None
+
+    def _read(self, datagram: bytes) -> None:
+        try:
+            self.command = decode_command(datagram)
+        except PacketError:
+            self.rejected += 1
+            return
+        self.accepted += 1
+        self._received.append(self.command)
+
+
+#: Messages of NatNet.
+_CONNECT, _SERVER_INFO, _REQUEST_MODELS, _MODELS, _FRAME, _KEEP_ALIVE = 0, 1, 4, 5, 7, 10
+_FORGOTTEN = 10.0
+#: Frequency of the clock of a frame's exposure and transmission [Hz]: that of Windows.
+_CLOCK_HZ = 10_000_000
+_DATA_PORT = 1511
+_RIGID_BODY = 1
+#: Pose of a body that is not seen.
+_NOWHERE = np.zeros(3), np.zeros(4)
+
+
+class Motive:
+    """The emulated server.
+
+    Args:
+        host, port: Address to bind: the command port.
+        names: Names of the rigid bodies; their ids count from 1.
+        version: Version of the protocol: 3.1, or 4.1, which gives the sizes of its sections.
+        latency: Time from exposure to transmission [s].
+    """
+
+    def __init__(
+        self, host: str, port: int, names: Sequence[str],
+        version: tuple[int, int] = (4, 1), latency: float = 0.004,
+    ) -> None:  # fmt: skip
+        self._socket = bound(host, port, ("mocap_port", "pose_port"))
+        self._names, self._version, self._latency = list(names), version, latency
+        self._clients: dict[tuple[str, int], float] = {}
+        self._waiting: deque[tuple[float, bytes]] = deque()
+        self._number = 0
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """The address at which it listens."""
+        return self._socket.getsockname()
+
+    def serve(self, now: float) -> None:
+        """Answer the requests of clients, and send them the frames that are due; `now` [s]."""
+        self._listen(now)
+        while self._waiting and self._waiting[0][0] <= now:
+            self._transmit(self._waiting.popleft()[1], now)
+
+    def show(self, bodies: Sequence[Pose | None], now: float) -> None:
+        """Take a frame, exposed at a time [s], with bodies that are not seen as None; `serve` sends it."""
+        self._number += 1
+        self._waiting.append((now + self._latency, self._frame(bodies, now)))
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    def _listen(self, now: float) -> None:
+        while True:
+            try:
+                message, client = self._socket.recvfrom(2048)
+            except OSError:
+                return
+            kind = int.from_bytes(message[:2], "little") if len(message) >= 4 else -1
+            if kind in (_CONNECT, _KEEP_ALIVE):
+                self._clients[client] = now
+            answer = {_CONNECT: self._server_info, _REQUEST_MODELS: self._models}.get(kind)
+            if answer:
+                self._send(answer(), client)
+
+    def _transmit(self, frame: bytes, now: float) -> None:
+        """Send to all clients that have sent a request lately."""
+        for client, requested in list(self._clients.items()):
+            if now - requested > _FORGOTTEN:
+                del self._clients[client]
+            else:
+                self._send(frame, client)
+
+    def _send(self, message: bytes, client: tuple[str, int]) -> None:
+        try:
+            self._socket.sendto(message, client)
+        except OSError:
+            self._clients.pop(client, None)
+
+    def _server_info(self) -> bytes:
+        name = b"amhe emulated Motive".ljust(256, b"\0")
+        versions = bytes([3, 1, 0, 0, *self._version, 0, 0])
+        clock = struct.pack("<QHB4B", _CLOCK_HZ, _DATA_PORT, 0, 0, 0, 0, 0)
+        return _message(_SERVER_INFO, name + versions + clock)
+
+    def _models(self) -> bytes:
+        parts = [struct.pack("<I", len(self._names))]
+        for number, name in enumerate(self._names, start=1):
+            model = name.encode() + b"\0" + struct.pack("<II3fI", number, 0xFFFFFFFF, 0.0, 0.0, 0.0, 0)
+            parts += [struct.pack("<I", _RIGID_BODY), self._size(model), model]
+        return _message(_MODELS, b"".join(parts))
+
+    def _frame(self, bodies: Sequence[Pose | None], now: float) -> bytes:
+        records = [
+            struct.pack("<I3f4ffH", number, *place, *np.roll(turn, -1), 0.0002, int(body is not None))
+            for number, body in enumerate(bodies, start=1)
+            for place, turn in [body or _NOWHERE]
+        ]
+        exposed, sent = int(now * _CLOCK_HZ), int((now + self._latency) * _CLOCK_HZ)
+        sections: list[Iterable[bytes]] = [[], [], records, [], *([[]] if self._sized else []), [], [], []]
+        suffix = struct.pack("<IId3QH", 0, 0, now, exposed, sent, sent, 0) + bytes(4)
+        return _message(
+            _FRAME, struct.pack("<I", self._number) + b"".join(map(self._section, sections)) + suffix
+        )
+
+    def _section(self, records: Iterable[bytes]) -> bytes:
+        """A section of a frame: the number of records, from 4.1 on their size, and the records."""
+        records = list(records)
+        content = b"".join(records)
+        return struct.pack("<I", len(records)) + self._size(content) + content
+
+    def _size(self, content: bytes) -> bytes:
+        return struct.pack("<I", len(content)) if self._sized else b""
+
+    @property
+    def _sized(self) -> bool:
+        return self._version >= (4, 1)
+
+
+def _message(kind: int, content: bytes) -> bytes:
+    return struct.pack("<HH", kind, len(content)) + content

@@ -1,1 +1,0 @@
-"""The Go1's state from joints, IMU and poses."""
