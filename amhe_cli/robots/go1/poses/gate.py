@@ -1,4 +1,4 @@
-"""Poses in the frame of the task, and whether they can be true: those that cannot are dropped, and counted."""
+"""Poses in the frame of the task, and whether they can be true: what cannot is dropped, and counted."""
 
 from __future__ import annotations
 
