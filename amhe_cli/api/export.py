@@ -18,11 +18,10 @@ from amhe_cli.core.files import filling
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.report.folder import reserve
 from amhe_cli.system.description.folders import named_system
-from amhe_cli.system.export.isaaclab import ISAACLAB_TOOL
 from amhe_cli.system.export.loads import WRITERS, load_text, xacro_properties
 from amhe_cli.system.export.mjcf import identified_assets, identified_xml
-from amhe_cli.system.export.mjlab import MJLAB_TOOL
 from amhe_cli.system.export.randomisation import randomisation
+from amhe_cli.system.export.trainings import ISAACLAB_TOOL, MJLAB_TOOL
 from amhe_cli.system.export.urdf import identified_urdf
 from amhe_cli.system.system import System
 

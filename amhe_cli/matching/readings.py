@@ -93,7 +93,7 @@ def state_errors(system: System, theta: FloatArray, starts: Starts) -> FloatArra
         )
         delta[..., tangent_of(system, channel)] = difference
     if widened:
-        half = system.edits.values("tendon_range", theta)[:, :, 1]
+        half = system.edits.written(theta)["tendon_range"][:, :, 1]
         for gap, own, other in unmeasured(system, widened):
             away = starts.qpos[:, model.jnt_qposadr[own]] - starts.qpos[:, model.jnt_qposadr[other]]
             wider = half[:, gap.tendon] - model.tendon_range[gap.tendon, 1]

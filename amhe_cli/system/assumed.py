@@ -22,8 +22,7 @@ from amhe_cli.system.description.targets import gain_cells
 from amhe_cli.system.model.elements import matching_rows
 from amhe_cli.system.model.files import compiled
 from amhe_cli.system.parameters.calibration import SignalCalibration
-from amhe_cli.system.parameters.cells import Cells, range_cells
-from amhe_cli.system.parameters.edits import Mode
+from amhe_cli.system.parameters.edits import Cells, Mode, range_cells
 from amhe_cli.system.parameters.gear_friction import number_cells
 from amhe_cli.system.parameters.model_edits import Held, ModelEdits
 from amhe_cli.system.system import System
@@ -218,7 +217,7 @@ def assumed_of(
     found += _masses(model, settings.mass, taken)
     found += _places(model, settings.geometry, taken)
     found += _tilts(model, settings.gravity, taken)
-    found += _biases(system, settings.force_bias, largest)
+    found += _biases(system, settings.force_bias, largest, taken)
     if edits.prompt:
         late = settings.command_delay
         what = "commands that act at once"
@@ -434,13 +433,15 @@ def _tilts(model: mujoco.MjModel, angle: float, taken: Collection[tuple[str, int
         yield Assumed("gravity", what, "level", tuple(cells), "add", angle, angle, "rad")
 
 
-def _biases(system: System, share: float, largest: Mapping[str, float]) -> Iterator[Assumed]:
+def _biases(
+    system: System, share: float, largest: Mapping[str, float], taken: Collection[tuple[str, int]]
+) -> Iterator[Assumed]:
     """Zeros of the force and torque sensors that are compared."""
     calibration = _with_biases(system)
     for channel in _forces(system):
         sd, unit = share * largest[channel.key], "% of its largest value"
         for axis, row in zip(_AXES, calibration.readings[channel.key].bias, strict=False):
-            if row not in calibration.set_rows:
+            if ("calibration", row) not in taken:
                 what = f"the bias of {channel.key} along {axis}"
                 yield Assumed(
                     "force_bias", what, "", (Cells("calibration", row),), "add", sd, 100.0 * share, unit

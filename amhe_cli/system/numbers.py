@@ -12,11 +12,10 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.system.description.parameters import unit_of
 from amhe_cli.system.description.schema import TargetEntry
-from amhe_cli.system.description.targets import cells_of
+from amhe_cli.system.description.targets import cells_of, unit_of
 from amhe_cli.system.model.elements import names_of
-from amhe_cli.system.parameters.cells import Cells
+from amhe_cli.system.parameters.edits import Cells
 
 #: Word in `set:`, the element that has it, how people call it, and by which axes it is told apart.
 _KINDS = (
@@ -118,6 +117,4 @@ def _of_kind(
                 cells = [Cells(cells[0].field, cells[0].row, (0, 1, 2))]
             if cells:
                 called = f"{what} {axis}" if by and axes else what
-                yield ModelNumber(
-                    kind, element, name, called, unit_of(entry, cells, model), tuple(cells), target
-                )
+                yield ModelNumber(kind, element, name, called, unit_of(entry, model), tuple(cells), target)

@@ -15,7 +15,7 @@ from amhe_cli.core.parameters import Parameter
 from amhe_cli.engine import cpu
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine, Starts, Wanted
-from amhe_cli.system.parameters.cells import Cells
+from amhe_cli.system.parameters.edits import Cells
 from amhe_cli.system.system import System
 from tests.conftest import MODELS
 from tests.engine.conftest import ENGINES, Open

@@ -14,8 +14,8 @@ from amhe_cli.cli.main import run
 from amhe_cli.core.belief import belief_of
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.init.drive_library import LibraryDrive, drive, library
-from amhe_cli.system.export.mjlab import MJLAB_TOOL
 from amhe_cli.system.export.randomisation import randomisation
+from amhe_cli.system.export.trainings import MJLAB_TOOL
 
 ARM = """<mujoco><worldbody>
   <body name="upper"><joint name="shoulder" axis="0 1 0"/>

@@ -31,7 +31,7 @@ def test_numbers_are_those_of_the_file_until_a_parameter_sets_them(written: Writ
     assert system.space.nominal[0] == 0.4  # the file's own
     assert system.space.parameters[0].unit == "N m"
     reading = system.calibration.readings["s.effort"]
-    numbers = system.calibration.numbers(np.array([[0.4], [0.7]]))
+    numbers = system.edits.numbers(np.array([[0.4], [0.7]]))
     np.testing.assert_array_equal(numbers[:, list(reading.bias)], [[0.3, 0.4], [0.3, 0.7]])
     np.testing.assert_array_equal(numbers[:, list(reading.scale)], 2.0)
     assert "s.position" not in system.calibration.readings
@@ -41,7 +41,7 @@ def test_each_joint_may_have_a_torque_constant_of_its_own(written: Write) -> Non
     knee = "  p: {targets: [{signal: s, set: scale, quantity: effort, joint: knee}]}\n"
     system = System.load(written(knee, signals=f"signals:\n  s: {HIP}}}\n"), warn=False)
     reading = system.calibration.readings["s.effort"]
-    numbers = system.calibration.numbers(np.array([[0.5]]))
+    numbers = system.edits.numbers(np.array([[0.5]]))
     np.testing.assert_array_equal(numbers[:, list(reading.scale)], [[1.0, 0.5]])
     (channel,) = (c for c in system.channels if c.key == "s.effort")
     shown = reading_of(channel, reading, numbers, np.array([[[3.0, 4.0]]]))

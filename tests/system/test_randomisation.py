@@ -15,10 +15,8 @@ import pytest
 
 from amhe_cli.core.belief import Belief, belief_of
 from amhe_cli.core.statistics import Z90
-from amhe_cli.system.export.actuators import usual_load
-from amhe_cli.system.export.isaaclab import ISAACLAB_TOOL
-from amhe_cli.system.export.mjlab import MJLAB_TOOL
-from amhe_cli.system.export.randomisation import randomisation
+from amhe_cli.system.export.randomisation import randomisation, usual_load
+from amhe_cli.system.export.trainings import ISAACLAB_TOOL, MJLAB_TOOL
 from amhe_cli.system.parameters.inertia import (
     body_numbers,
     log_cholesky,

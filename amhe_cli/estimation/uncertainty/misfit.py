@@ -15,7 +15,7 @@ from amhe_cli.matching.cost import Residuals
 from amhe_cli.matching.windows import Observed
 from amhe_cli.system.description.data import PART
 from amhe_cli.system.description.targets import gain_cells
-from amhe_cli.system.parameters.cells import Cells
+from amhe_cli.system.parameters.edits import Cells
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
@@ -159,7 +159,7 @@ def held_fixed(system: System, key: str) -> list[str]:
     """What a system holds fixed and may have wrong where it misses a channel, in the order to look at it."""
     key = key.partition(PART)[0]
     held, reading = _of_drives(system), system.calibration.readings.get(key)
-    if key.endswith(".effort") and not (reading and system.calibration.set_rows & set(reading.scale)):
+    if key.endswith(".effort") and not (reading and system.edits.calibrated & set(reading.scale)):
         held.insert(0, f"the scale of {key}, read as forces and torques")
     held += [f"{name} at {value:.4g}" for name, value in system.fixed.items()]
     held += [f"{name} as one value of {count} joints" for name, count in shared_by_joints(system).items()]

@@ -15,14 +15,8 @@ from amhe_cli.system.description.schema import Description, SignalEntry, TargetE
 from amhe_cli.system.description.targets import FRAME_AXES
 from amhe_cli.system.model.elements import id_of
 from amhe_cli.system.model.gaps import gaps
-from amhe_cli.system.parameters.calibration import (
-    CalibrationNumber,
-    ForceEdit,
-    Reading,
-    SignalCalibration,
-    ZeroEdit,
-)
-from amhe_cli.system.parameters.edits import Edit, ScalarEdit
+from amhe_cli.system.parameters.calibration import Reading, SignalCalibration
+from amhe_cli.system.parameters.edits import CALIBRATION, Cells, Edit, ForceEdit, ZeroEdit
 
 #: Value of a number that is not given.
 _NEUTRAL = {"scale": 1.0, "bias": 0.0, "frame": 0.0}
@@ -63,7 +57,7 @@ class CalibrationDraft:
                 except ConfigError as error:
                     file.problem(("signals", name, word), str(error))
 
-    def cells_of(self, target: TargetEntry) -> list[CalibrationNumber]:
+    def cells_of(self, target: TargetEntry) -> list[Cells]:
         """The numbers that a parameter's target sets.
 
         Raises:
@@ -95,17 +89,13 @@ class CalibrationDraft:
             return "m" if target.axis in ("x", "y", "z") else "rad"
         return "Hz" if target.set == "band" else "-"
 
-    def lowest(self, cells: Sequence[CalibrationNumber], value: float) -> None:
+    def lowest(self, cells: Sequence[Cells], value: float) -> None:
         """Note the smallest value of numbers that a parameter sets: a band's memory follows from it."""
         for cell in cells:
             self._lowest[cell.row] = value
 
-    def finished(self, edits: Sequence[ScalarEdit]) -> tuple[SignalCalibration, list[Edit]]:
-        """The calibration, and the edits of the model that it needs.
-
-        Args:
-            edits: How parameters are written into the calibration's numbers.
-        """
+    def finished(self) -> tuple[SignalCalibration, list[Edit]]:
+        """The calibration, and the edits of the model that it needs."""
         readings = {c.key: self._reading(n, q, c) for (n, q), c in self.channels.items()}
         used = {key: reading for key, reading in readings.items() if reading != Reading()}
         zeros = {
@@ -124,10 +114,10 @@ class CalibrationDraft:
             if any(key[0] == name and key[2] == quantity for key in self._rows)
             for column, actuator in enumerate(actuators)
         }
-        bare = SignalCalibration(np.array(self._own), tuple(edits))
-        changes: list[Edit] = [ZeroEdit(bare, zeros, self.model)] if zeros else []
-        changes += [ForceEdit(bare, driven)] if driven else []
-        return SignalCalibration(bare.own, bare.edits, used), changes
+        joints = {joint: (int(self.model.jnt_qposadr[joint]), row) for joint, row in zeros.items()}
+        changes: list[Edit] = [ZeroEdit(joints)] if zeros else []
+        changes += [ForceEdit(driven)] if driven else []
+        return SignalCalibration(np.array(self._own), used), changes
 
     def _read(self, name: str, entry: SignalEntry, word: str) -> None:
         given = getattr(entry, word)
@@ -155,9 +145,7 @@ class CalibrationDraft:
                 for column, value in enumerate(each):
                     self._number(name, "bias", quantity, column, value)
 
-    def _number(
-        self, name: str, word: str, quantity: str, column: int, value: float | None = None
-    ) -> CalibrationNumber:
+    def _number(self, name: str, word: str, quantity: str, column: int, value: float | None = None) -> Cells:
         """One number; when it is met first, it gets its row, and the value given or one without effect."""
         if word == "frame":
             self._check_frame(name)
@@ -170,7 +158,7 @@ class CalibrationDraft:
         which = f"[{column}]" if word == "frame" else ""
         if word in ("bias", "scale"):
             which = f" of {self._columns(name, quantity)[column]}"
-        return CalibrationNumber("calibration", row, own=self._own[row], name=f"{word}{which} in {label}")
+        return Cells(CALIBRATION, row, name=f"{word}{which} in {label}", own=self._own[row])
 
     def _row(self, key: _Key, value: float | None = None) -> int:
         if key not in self._rows:

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import mujoco
 
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.system.parameters.cells import Cells
 from amhe_cli.system.parameters.contacts import geom_name, partners
+from amhe_cli.system.parameters.edits import Cells
 from amhe_cli.system.parameters.model_edits import ModelEdits
 
 logger = logging.getLogger(__name__)

@@ -152,18 +152,19 @@ def _built(
     draft = draft_wiring(source, entry, spec, _compiled(source, spec))
     base = _compiled(source, spec)
     wiring = draft.wired(base)
-    delays, off = draft.commanded(base, wiring), unpowered(wiring, base)
+    commands, off = draft.commanded(wiring), unpowered(wiring, base)
+    width = mujoco.mj_stateSize(base, wiring.input_spec) if commands else 1
     base.actuator_gainprm[off], base.actuator_biasprm[off] = 0.0, 0.0
     base.jnt_actfrclimited[base.actuator_trnid[off, 0]] = False  # that is theirs
     if entry.match == "effort":
         wiring = matching_efforts(source, entry.signals, wiring, base)
     calibrated = draft.calibrated(entry.signals, wiring, base)
-    space, edits, calibration = unknowns_of(source, entry, base, calibrated, delays)
+    space, edits, calibration = unknowns_of(source, entry, base, calibrated, commands, width)
     keyframe = _keyframe(source, entry, base)
     _refuse_strangers(source, entry, base)
     source.raise_problems()
     for parameter_name, parameter in entry.parameters.items():
-        if not delays.commands and any(target.set == "command_delay" for target in parameter.targets):
+        if not commands and any(target.set == "command_delay" for target in parameter.targets):
             source.problem(
                 ("parameters", parameter_name),
                 "a command delay changes nothing: no signal commands actuators",

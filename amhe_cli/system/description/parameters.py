@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from fnmatch import fnmatchcase
 
 import mujoco
@@ -11,18 +11,26 @@ import numpy as np
 
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.parameters import Parameter, ParameterSpace
-from amhe_cli.core.yaml_file import Place
 from amhe_cli.system.description.calibration_keys import CalibrationDraft
 from amhe_cli.system.description.schema import Description, ParameterEntry, SystemEntry, TargetEntry
-from amhe_cli.system.description.targets import SETTERS, cells_of, rows_of, selector_of
-from amhe_cli.system.parameters.calibration import CalibrationNumber, SignalCalibration
-from amhe_cli.system.parameters.cells import Cells, range_cells
-from amhe_cli.system.parameters.delays import CommandDelays
-from amhe_cli.system.parameters.edits import Edit, PseudoInertiaEdit, ScalarEdit
+from amhe_cli.system.description.targets import SETTERS, cells_of, rows_of, selector_of, unit_of
+from amhe_cli.system.parameters.calibration import SignalCalibration
+from amhe_cli.system.parameters.edits import (
+    CALIBRATION,
+    DELAYS,
+    Cells,
+    Edit,
+    PseudoInertiaEdit,
+    ScalarEdit,
+    range_cells,
+)
 from amhe_cli.system.parameters.gear_friction import BOTH, GEARS, OWN
 from amhe_cli.system.parameters.inertia import PSEUDO_NAMES
 from amhe_cli.system.parameters.model_edits import Held, ModelEdits
 from amhe_cli.system.parameters.servos import OF_SERVO, SERVOS, SIGNALS
+
+#: A target, and the numbers that it sets.
+_Reached = tuple[TargetEntry, list[Cells]]
 
 #: Prior sd of log(theta) where none is given: a factor of 1.65 either way at one sd.
 LOG_PRIOR_SD = 0.5
@@ -64,15 +72,118 @@ def _meant(name: str, patterns: list[str]) -> bool:
     return any(name == pattern or fnmatchcase(name, pattern) for pattern in patterns)
 
 
-@dataclass
 class _Unknowns:
-    """What has been read of the parameters so far."""
+    """What has been read of the parameters so far; mistakes are noted in the description.
 
-    parameters: list[Parameter] = field(default_factory=list)
-    edits: list[tuple[tuple[int, bool], Edit]] = field(default_factory=list)
-    calibrated: list[ScalarEdit] = field(default_factory=list)
-    set_by: dict[tuple[str, int, int], str] = field(default_factory=dict)
-    late: list[ScalarEdit] = field(default_factory=list)
+    Args:
+        file: The description.
+        model: The final model.
+        draft: The calibration's numbers.
+        commands: Actuator that a signal commands -> the delays of its commands.
+    """
+
+    def __init__(
+        self,
+        file: Description,
+        model: mujoco.MjModel,
+        draft: CalibrationDraft,
+        commands: Mapping[str, Sequence[Cells]],
+    ) -> None:
+        self._file, self._model, self._draft, self._commands = file, model, draft, commands
+        self.parameters: list[Parameter] = []
+        self._edits: list[tuple[tuple[int, bool], Edit]] = []
+        self._set_by: dict[tuple[str, int, int], str] = {}
+
+    @property
+    def edits(self) -> list[Edit]:
+        """The edits, in the order in which they act."""
+        return [edit for _, edit in sorted(self._edits, key=lambda ranked: ranked[0])]
+
+    def add(self, name: str, entry: ParameterEntry) -> None:
+        """Read one parameter."""
+        if any(target.set == "pseudo_inertia" for target in entry.targets):
+            self._add_pseudo(name, entry)
+            return
+        column, reached = len(self.parameters), list[_Reached]()
+        for index, target in enumerate(entry.targets):
+            try:
+                cells = self._cells_of(target)
+                reached.append((target, cells))
+                self._claim(name, target, cells)
+            except ConfigError as error:
+                self._file.problem(("parameters", name, "targets", index), str(error))
+                continue
+            # what is scaled or added to is set first
+            rank = _ORDER.get(target.set, 1), target.mode != "value"
+            edit = ScalarEdit(column, tuple(cells), target.mode, _carried(target, cells, self._model))
+            self._edits += [(rank, edit)] if cells else []
+        if len(reached) < len(entry.targets):
+            return
+        try:
+            parameter = _parameter(name, entry, reached, self._model)
+            _check_limits(parameter, reached, self._model)
+        except ConfigError as error:
+            self._file.problem(("parameters", name), str(error))
+            return
+        target, _ = reached[0]
+        if target.signal is not None and entry.unit is None and target.mode != "scale":
+            parameter = replace(parameter, unit=self._draft.unit_of(target))
+        for target, cells in reached:
+            if target.set == "band":
+                self._draft.lowest(cells, min(_smallest(parameter, target, cells, self._model)))
+        self.parameters.append(parameter)
+
+    def _cells_of(self, target: TargetEntry) -> list[Cells]:
+        selector = selector_of(target)
+        if selector == "signal":
+            return self._draft.cells_of(target)
+        if target.set != "command_delay":
+            return cells_of(self._model, target)
+        names = [name for name in self._commands if fnmatchcase(name, target.actuator or "*")]
+        if target.actuator is not None and not names:
+            raise ConfigError(one_of("actuator that a signal commands", target.actuator, self._commands))
+        named = target.actuator is not None
+        return [replace(cells, name=name * named) for name in names for cells in self._commands[name]]
+
+    def _add_pseudo(self, name: str, entry: ParameterEntry) -> None:
+        columns = range(len(self.parameters), len(self.parameters) + len(PSEUDO_NAMES))
+        try:
+            if len(entry.targets) > 1 or entry.scale == "log" or entry.nominal:
+                raise ConfigError(
+                    "a pseudo_inertia is the only target of its parameter, on the linear scale, relative to "
+                    "the model's own inertia (nominal 0)"
+                )
+            target, model = entry.targets[0], self._model
+            bodies = rows_of(model, target, selector_of(target) or "body")
+            if len(bodies) > 1:
+                raise ConfigError(f"{target.body!r} means {len(bodies)} bodies; a pseudo_inertia is of one")
+            if model.body_weldid[bodies[0]] == 0:
+                raise ConfigError(f"body {target.body!r} is fixed to the world: its inertia changes nothing")
+            edit = PseudoInertiaEdit(model, bodies[0], columns)
+            self._claim(name, target, list(edit.cells))
+            lower, upper = entry.bounds or PSEUDO_BOUNDS
+            if not lower < 0.0 < upper:
+                raise ConfigError(
+                    f"bounds [{lower:g}, {upper:g}] must hold 0, the model's own inertia, inside"
+                )
+        except ConfigError as error:
+            self._file.problem(("parameters", name, "targets", 0), str(error))
+            return
+        sd = PSEUDO_PRIOR_SD if entry.prior_sd is None else entry.prior_sd
+        self.parameters += [Parameter(f"{name}.{k}", "-", 0.0, lower, upper, False, sd) for k in PSEUDO_NAMES]
+        self._edits.append(((0, False), edit))
+
+    def _claim(self, name: str, target: TargetEntry, cells: list[Cells]) -> None:
+        """Refuse a number that two parameters would set."""
+        if target.mode != "value":
+            return
+        for part in cells:
+            for column in part.columns or (0,):
+                other = self._set_by.setdefault((part.field, part.row, column), name)
+                if other != name:
+                    raise ConfigError(
+                        f"parameter {other!r} already sets this number; use mode: scale or add for one"
+                    )
 
 
 def unknowns_of(
@@ -80,26 +191,31 @@ def unknowns_of(
     entry: SystemEntry,
     model: mujoco.MjModel,
     draft: CalibrationDraft,
-    delays: CommandDelays,
+    commands: Mapping[str, Sequence[Cells]],
+    width: int,
 ) -> tuple[ParameterSpace, ModelEdits, SignalCalibration]:
-    """Parameters of the file and how they are written; every mistake is noted in `file`."""
-    unknowns = _Unknowns()
+    """Parameters of the file and how they are written; every mistake is noted in `file`.
+
+    Args:
+        file, entry: The description.
+        model: The final model.
+        draft: The calibration's numbers.
+        commands: Actuator that a signal commands -> the delays of its commands.
+        width: Number of the engine's inputs, each with a delay.
+    """
     draft.read(file)
+    unknowns = _Unknowns(file, model, draft, commands)
     for name, parameter in entry.parameters.items():
-        place = ("parameters", name)
-        if any(target.set == "pseudo_inertia" for target in parameter.targets):
-            _add_pseudo(file, place, parameter, model, unknowns)
-        else:
-            _add_plain(file, place, parameter, model, draft, delays, unknowns)
+        unknowns.add(name, parameter)
     space = ParameterSpace(tuple(unknowns.parameters))
-    edits = [edit for _, edit in sorted(unknowns.edits, key=lambda ranked: ranked[0])]
-    calibration, needed = draft.finished(unknowns.calibrated)
+    calibration, needed = draft.finished()
     fixed = {p.name: p.nominal for p in space.parameters if p.prior_sd == 0.0}
     if fixed and len(fixed) == len(space):
         file.problem(("parameters",), "every parameter has the prior_sd 0, which fixes it: leave one free")
-    late = delays.with_edits(unknowns.late)
-    held = _held(file, entry)
-    written = ModelEdits(model, space, [*edits, *needed], late, fixed, calibration, held)
+    beside = {CALIBRATION: calibration.own, DELAYS: np.zeros(width)}
+    late = [cells for several in commands.values() for cells in several]
+    edits = [*unknowns.edits, *needed]
+    written = ModelEdits(model, space, edits, beside, late, fixed, _held(file, entry))
     return written.space, written, calibration
 
 
@@ -124,59 +240,6 @@ def _held(file: Description, entry: SystemEntry) -> dict[str, Held]:
     return held
 
 
-def _add_plain(
-    file: Description,
-    place: Place,
-    entry: ParameterEntry,
-    model: mujoco.MjModel,
-    draft: CalibrationDraft,
-    delays: CommandDelays,
-    unknowns: _Unknowns,
-) -> None:
-    column, name = len(unknowns.parameters), str(place[1])
-    reached: list[tuple[TargetEntry, list[Cells]]] = []
-    for index, target in enumerate(entry.targets):
-        here = (*place, "targets", index)
-        try:
-            selector = selector_of(target)
-            cells: list[Cells]
-            if target.set == "command_delay":
-                cells = [*delays.cells_of(target.actuator)]
-            else:
-                cells = [*draft.cells_of(target)] if selector == "signal" else cells_of(model, target)
-            reached.append((target, cells))
-            _claim(unknowns, name, target, cells)
-        except ConfigError as error:
-            file.problem(here, str(error))
-            continue
-        edit = ScalarEdit(column, tuple(cells), target.mode, _carried(target, cells, model))
-        if target.set == "command_delay":
-            unknowns.late += [edit] if cells else []
-        elif selector == "signal":
-            unknowns.calibrated.append(edit)
-        else:
-            rank = (
-                _ORDER.get(target.set, 1),
-                target.mode != "value",
-            )  # what is scaled or added to is set first
-            unknowns.edits.append((rank, edit))
-    if len(reached) < len(entry.targets):
-        return
-    try:
-        parameter = _parameter(name, entry, reached, model)
-        _check_limits(parameter, reached, model)
-        target, cells = reached[0]
-        if target.signal is not None and entry.unit is None and target.mode != "scale":
-            parameter = replace(parameter, unit=draft.unit_of(target))
-        for target, cells in reached:
-            if target.set == "band":
-                smallest = min(_smallest(parameter, target, cells, model))
-                draft.lowest([cell for cell in cells if isinstance(cell, CalibrationNumber)], smallest)
-        unknowns.parameters.append(parameter)
-    except ConfigError as error:
-        file.problem(place, str(error))
-
-
 def _carried(
     target: TargetEntry, cells: list[Cells], model: mujoco.MjModel
 ) -> dict[Cells, tuple[Cells, ...]]:
@@ -189,52 +252,7 @@ def _carried(
     return {}
 
 
-def _add_pseudo(
-    file: Description, place: Place, entry: ParameterEntry, model: mujoco.MjModel, unknowns: _Unknowns
-) -> None:
-    name, here = str(place[1]), (*place, "targets", 0)
-    columns = range(len(unknowns.parameters), len(unknowns.parameters) + len(PSEUDO_NAMES))
-    try:
-        if len(entry.targets) > 1 or entry.scale == "log" or entry.nominal:
-            raise ConfigError(
-                "a pseudo_inertia is the only target of its parameter, on the linear scale, relative to the "
-                "model's own inertia (nominal 0)"
-            )
-        target = entry.targets[0]
-        bodies = rows_of(model, target, selector_of(target) or "body")
-        if len(bodies) > 1:
-            raise ConfigError(f"{target.body!r} means {len(bodies)} bodies; a pseudo_inertia is of one")
-        if model.body_weldid[bodies[0]] == 0:
-            raise ConfigError(f"body {target.body!r} is fixed to the world: its inertia changes nothing")
-        edit = PseudoInertiaEdit(model, bodies[0], columns)
-        _claim(unknowns, name, target, list(edit.cells))
-        lower, upper = entry.bounds or PSEUDO_BOUNDS
-        if not lower < 0.0 < upper:
-            raise ConfigError(f"bounds [{lower:g}, {upper:g}] must hold 0, the model's own inertia, inside")
-    except ConfigError as error:
-        file.problem(here, str(error))
-        return
-    sd = PSEUDO_PRIOR_SD if entry.prior_sd is None else entry.prior_sd
-    unknowns.parameters += [Parameter(f"{name}.{k}", "-", 0.0, lower, upper, False, sd) for k in PSEUDO_NAMES]
-    unknowns.edits.append(((0, False), edit))
-
-
-def _claim(unknowns: _Unknowns, name: str, target: TargetEntry, cells: list[Cells]) -> None:
-    """Refuse a number that two parameters would set."""
-    if target.mode != "value":
-        return
-    for part in cells:
-        for column in part.columns or (0,):
-            other = unknowns.set_by.setdefault((part.field, part.row, column), name)
-            if other != name:
-                raise ConfigError(
-                    f"parameter {other!r} already sets this number; use mode: scale or add for one"
-                )
-
-
-def _parameter(
-    name: str, entry: ParameterEntry, reached: list[tuple[TargetEntry, list[Cells]]], model: mujoco.MjModel
-) -> Parameter:
+def _parameter(name: str, entry: ParameterEntry, reached: list[_Reached], model: mujoco.MjModel) -> Parameter:
     """The parameter, what is not given taken from the model."""
     target, cells = reached[0]
     positive = all(_limit(t) >= 0.0 and t.mode != "add" and t.set in SETTERS for t, _ in reached)
@@ -251,7 +269,7 @@ def _parameter(
         raise ConfigError(f"bounds [{lower:g}, {upper:g}]: scale: log needs a lower bound above 0")
     usual = LOG_PRIOR_SD if log else (upper - lower) / 4.0
     sd = usual if entry.prior_sd is None else entry.prior_sd
-    unit = entry.unit or unit_of(target, cells, model)
+    unit = entry.unit or unit_of(target, model)
     made = Parameter(name, unit, nominal, lower, upper, log, sd)
     return made if entry.drift is None else replace(made, drift=entry.drift)
 
@@ -277,9 +295,7 @@ def _limit(target: TargetEntry) -> float:
     return SETTERS[target.set].lower if target.set in SETTERS else 0.0
 
 
-def _check_limits(
-    parameter: Parameter, reached: list[tuple[TargetEntry, list[Cells]]], model: mujoco.MjModel
-) -> None:
+def _check_limits(parameter: Parameter, reached: list[_Reached], model: mujoco.MjModel) -> None:
     """Refuse bounds that would let a mass, an inertia, a friction, ... become impossible."""
     for target, cells in reached:
         limit = _limit(target)
@@ -302,46 +318,3 @@ def _smallest(
                 yield float(
                     nominal * parameter.lower if target.mode == "scale" else nominal + parameter.lower
                 )
-
-
-def unit_of(target: TargetEntry, cells: list[Cells], model: mujoco.MjModel) -> str:
-    """Unit of what a target sets; '-' of a factor."""
-    if target.mode == "scale":
-        return "-"
-    if target.set == "command_delay":
-        return "s"
-    unit = SETTERS[target.set].unit
-    slides = {
-        "rad": "m",
-        "rad/s": "m/s",
-        "N m s^2/rad^2": "N s^2/m^2",
-        "N m s^3/rad^3": "N s^3/m^3",
-        "N m s/rad": "N s/m",
-        "kg m^2": "kg",
-        "N m": "N",
-        "N m/rad": "N/m",
-    }
-    joint = _joint_of(cells[0], model) if cells and target.signal is None else None
-    slid = joint is not None and int(model.jnt_type[joint]) == mujoco.mjtJoint.mjJNT_SLIDE
-    return slides.get(unit, unit) if slid else unit
-
-
-def _joint_of(cells: Cells, model: mujoco.MjModel) -> int | None:
-    """Row of the joint whose numbers these are, or those of its actuator; None for others."""
-    if cells.field.startswith("jnt_"):
-        return cells.row
-    if cells.field.startswith("dof_"):
-        return int(model.dof_jntid[cells.row])
-    if cells.field == "qpos_spring":
-        return int(np.flatnonzero(model.jnt_qposadr == cells.row)[0])
-    if cells.field == "numeric_data":
-        if (servo := SERVOS.element(model, cells.row)) is not None:
-            return int(model.actuator_trnid[servo, 0])
-        return GEARS.element(model, cells.row)
-    if cells.field in ("tendon_range", "tendon_stiffness"):
-        return int(model.wrap_objid[model.tendon_adr[cells.row]])
-    driven = cells.field == "actuator_forcerange" and model.actuator_trntype[cells.row] in (
-        mujoco.mjtTrn.mjTRN_JOINT,
-        mujoco.mjtTrn.mjTRN_JOINTINPARENT,
-    )
-    return int(model.actuator_trnid[cells.row, 0]) if driven else None

@@ -23,7 +23,7 @@ from amhe_cli.system.description.schema import SignalEntry
 from amhe_cli.system.model.couplings import couplings
 from amhe_cli.system.model.elements import control_of, id_of
 from amhe_cli.system.model.gaps import gaps
-from amhe_cli.system.parameters.delays import CommandDelays
+from amhe_cli.system.parameters.edits import DELAYS, Cells
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,15 +100,13 @@ class WiringDraft:
         forces = {key: rows for key, rows in forces.items() if key not in channels}  # these are compared
         return CalibrationDraft(entries, channels, forces, model)
 
-    def commanded(self, model: mujoco.MjModel, wiring: Wiring) -> CommandDelays:
-        """What can be delayed: the inputs that command actuators."""
-        inputs = zip(self.driven, wiring.inputs, strict=True)
-        late = [(drive.parts, driving.columns) for drive, driving in inputs if drive.delayed]
-        commands: dict[str, tuple[int, ...]] = {}  # an actuator may have several controls
-        for part, at in (pair for parts, columns in late for pair in zip(parts, columns, strict=True)):
-            commands[str(part)] = (*commands.get(str(part), ()), at)
-        width = mujoco.mj_stateSize(model, wiring.input_spec) if commands else 1
-        return CommandDelays(commands, width)
+    def commanded(self, wiring: Wiring) -> dict[str, list[Cells]]:
+        """Actuator that a signal commands -> the delays of its commands; it may have several controls."""
+        commands: dict[str, list[Cells]] = {}
+        for drive, driving in zip(self.driven, wiring.inputs, strict=True):
+            for part, at in zip(drive.parts, driving.columns, strict=True) if drive.delayed else ():
+                commands.setdefault(str(part), []).append(Cells(DELAYS, at))
+        return commands
 
     def unset_joints(self) -> list[str]:
         """Joints whose state no signal gives, neither directly nor by a joint beside them."""

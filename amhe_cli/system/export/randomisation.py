@@ -1,7 +1,7 @@
-"""A belief as a Python file for the randomisation of trainings: 90 % intervals of the model's own numbers.
+"""A belief as a Python file for trainings: 90 % intervals of the model's own numbers, and its actuators.
 
 The intervals are those under draws of the belief, whatever its parameters set: a value, a factor, a whole
-inertia. `mjlab.py` and `isaaclab.py` name the terms and the text about them.
+inertia. `trainings.py` names the terms of each tool, and the text about them.
 """
 
 from __future__ import annotations
@@ -18,16 +18,19 @@ from amhe_cli import __version__
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief import Belief
 from amhe_cli.core.statistics import correlation
+from amhe_cli.system.parameters.gear_friction import GearFriction
+from amhe_cli.system.parameters.servos import OF_SERVO, SERVOS
 from amhe_cli.system.system import System
 
-#: Draws of the belief that intervals are taken from.
-DRAWS = 10_000
-#: Seed of their generator.
-SEED = 0
+#: Draws of the belief that intervals are taken from, and the seed of their generator.
+DRAWS, SEED = 10_000, 0
 #: Correlations from this size on are named in the file.
 STRONG = 0.5
+#: Poses that a joint's usual load is taken from.
+_POSES = 200
 
 _ENDS = (5.0, 95.0)
+_SINGLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _TERM = """EventTermCfg(
     func={function},
     mode="startup",
@@ -35,6 +38,23 @@ _TERM = """EventTermCfg(
         "asset_cfg": SceneEntityCfg({entity}, {selector}),
 {values}    }},
 )"""
+_ACTUATORS = '''
+
+def identified_actuators(timestep: float = {timestep}):
+    """Actuators with the identified numbers, {use}.
+
+    They are the model's position servos; other actuators of it need a configuration of their own. A delay is
+    drawn between its ends, in whole physics steps of `timestep` [s].
+    """
+    from {module} import {name}
+
+    def steps(seconds):
+        return round(seconds / timestep)
+
+    return {opening}
+{entries}
+    {closing}
+'''
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,11 +114,10 @@ class Drawn:
         rows = {(c.field, c.row) for c in self.system.edits.cells if c.field in names}
         return sorted({row for name, row in rows if np.ptp(self.arrays[name][:, row], axis=0).any()})
 
-    def columns(self, name: str, row: int) -> set[int]:
+    def columns(self, name: str, row: int) -> list[int]:
         """Columns of a row that parameters set."""
-        return {
-            column for c in self.system.edits.cells if (c.field, c.row) == (name, row) for column in c.columns
-        }
+        cells = (c for c in self.system.edits.cells if (c.field, c.row) == (name, row))
+        return sorted({column for c in cells for column in c.columns})
 
     def tied(self, name: str, rows: Sequence[int], column: int | None = None) -> Iterator[list[int]]:
         """The rows, those together that are the same number in every draw."""
@@ -112,11 +131,10 @@ class Drawn:
         """Name of the joint that a row of a field `dof_...` or `jnt_...` belongs to."""
         return self.model.joint(int(self.model.dof_jntid[row]) if name.startswith("dof_") else row).name
 
-    def servos(self) -> Iterator[tuple[int, tuple[float, float], tuple[float, float]]]:
+    def gains(self) -> Iterator[tuple[int, tuple[float, float], tuple[float, float]]]:
         """Row of each position servo that parameters set, with the intervals of its two gains."""
         for row in self.rows("actuator_gainprm", "actuator_biasprm"):
-            gain, bias = self.model.actuator_gainprm[row, 0], self.model.actuator_biasprm[row]
-            if gain and np.isclose(bias[1], -gain):
+            if _is_servo(self.model, row):
                 kd = self.range("actuator_biasprm", [row], 2, -1.0)
                 yield row, self.range("actuator_gainprm", [row], 0), kd
 
@@ -133,7 +151,8 @@ class Tool:
         names: The collection that it takes names as: tuple or list.
         entry: Form of an entry, with its name and its text for the braces; its spaces stand before each line.
         text: The rest of the file, with `$entries` in the entries' place.
-        actuators: Code of the identified actuators, and lines about what is lost in it.
+        actuator: Module and class of its actuators, what stands around them, and how they are used.
+        arguments: Arguments of that class -> what of `servos` they are.
     """
 
     events: Callable[[Drawn], Iterable[Event]]
@@ -142,22 +161,27 @@ class Tool:
     names: Callable[[list[str]], Sequence[str]]
     entry: str
     text: str
-    actuators: Callable[[Drawn], tuple[str, Sequence[str]]]
+    actuator: tuple[str, str, str, str]
+    arguments: Mapping[str, str]
 
 
 def randomisation(system: System, belief: Belief, tool: Tool) -> str:
     """Python file of a belief's intervals as events of a tool, and of its actuators."""
-    draws = _drawn(system, belief)
+    space = system.space.with_prior(belief)
+    low, high = (np.array([getattr(p, end) for p in space.parameters]) for end in ("lower", "upper"))
+    theta = np.clip(belief.sample(DRAWS, SEED), low, high)
+    model = system.edits.apply(system.model, space.nominal)
+    draws = Drawn(system, model, theta, system.edits.written(theta))
     entries = []
     for event in tool.events(draws):
-        selector = f"{event.kind}_names={code(tool.names([re.escape(name) for name in event.names]))}"
-        values = "".join(f'        "{key}": {code(value)},\n' for key, value in event.values.items())
+        selector = f"{event.kind}_names={_code(tool.names([re.escape(name) for name in event.names]))}"
+        values = "".join(f'        "{key}": {_code(value)},\n' for key, value in event.values.items())
         term = _TERM.format(function=event.function, entity=tool.entity, selector=selector, values=values)
         spaces = tool.entry[: len(tool.entry) - len(tool.entry.lstrip())]
         entries.append(indent(tool.entry.lstrip().format(event.name, term), spaces))
-    actuators, lost = tool.actuators(draws)
+    actuators = _actuators(draws, tool)
     late = system.edits.late if actuators else frozenset()
-    head = _head(draws, belief, [*_left_out(draws, belief, late), *lost], *tool.head)
+    head = _head(draws, belief, [*_left_out(draws, belief, late), *_lost(model)], *tool.head)
     return head + tool.text.replace("$entries", "\n".join(entries)) + actuators
 
 
@@ -167,26 +191,9 @@ def ends(values: FloatArray) -> tuple[float, float]:
     return float(f"{low:.5g}"), float(f"{high:.5g}")
 
 
-def code(value: object) -> str:
+def _code(value: object) -> str:
     """A value as Python text, with the quotes of the rest of the file."""
     return repr(value).replace("'", '"')
-
-
-def _drawn(system: System, belief: Belief) -> Drawn:
-    space = system.space.with_prior(belief)
-    low, high = (np.array([getattr(p, end) for p in space.parameters]) for end in ("lower", "upper"))
-    theta = np.clip(belief.sample(DRAWS, SEED), low, high)
-    return Drawn(system, system.edits.apply(system.model, space.nominal), theta, _written(system, theta))
-
-
-def _written(system: System, theta: FloatArray) -> dict[str, FloatArray]:
-    """Fields of the model that parameters set, under each row of theta (n, d)."""
-    arrays = {
-        name: np.repeat(np.asarray(getattr(system.model, name), dtype=np.float64)[None], len(theta), axis=0)
-        for name in system.edits.fields
-    }
-    system.edits.write(arrays, theta)
-    return arrays
 
 
 def _head(draws: Drawn, belief: Belief, out: Sequence[str], tool: str, use: str, checked: str) -> str:
@@ -220,20 +227,108 @@ def _left_out(draws: Drawn, belief: Belief, late: Collection[str]) -> Iterator[s
     Actuators cover those that are `late`, which delay commands.
     """
     for column, name in enumerate(belief.names):
-        moved = _moved(draws.system, belief, column)
-        if (moved or name in late) and moved <= draws.used:
+        theta = np.tile(belief.estimate, (2, 1))
+        theta[1, column] = belief.given({}).sample(1, SEED)[0, column]
+        written = draws.system.edits.written(theta).items()
+        moved = {(key, int(row)) for key, (one, two) in written for row in np.nonzero(one != two)[0]}
+        if not (moved or name in late) or not moved <= draws.used:
+            low, high = ends(draws.theta[:, column])
+            what = "" if draws.system.sets[name] == name else f": {draws.system.sets[name]}"
+            yield f"{name}, {low:g} to {high:g}{what}"
+
+
+def _is_servo(model: mujoco.MjModel, row: int) -> bool:
+    gain = model.actuator_gainprm[row, 0]
+    return bool(gain and np.isclose(model.actuator_biasprm[row, 1], -gain))
+
+
+def _servos(draws: Drawn) -> Iterator[dict[str, object]]:
+    """The model's position servos on hinges and slides, under the estimate, at their joints [SI].
+
+    `friction` is that of a gear under its usual load; `shortest` and `longest` are the ends of its delay.
+    """
+    model, delays = draws.model, draws.system.edits.delays(draws.theta)
+    friction, firmware, back_emf = _friction(model), SERVOS.rows(model), list(OF_SERVO).index("back_emf")
+    for row in map(int, np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT)):
+        joint, gear = int(model.actuator_trnid[row, 0]), float(model.actuator_gear[row, 0])
+        if not _is_servo(model, row) or model.jnt_type[joint] not in _SINGLE:
             continue
-        low, high = ends(draws.theta[:, column])
-        what = "" if draws.system.sets[name] == name else f": {draws.system.sets[name]}"
-        yield f"{name}, {low:g} to {high:g}{what}"
+        dof, limit = int(model.jnt_dofadr[joint]), model.actuator_forcerange[row, 1] * abs(gear)
+        lost_by_speed = model.numeric_data[firmware[row][back_emf]] if row in firmware else 0.0
+        shortest, longest = ends(delays[:, min(row, delays.shape[1] - 1)])
+        yield {
+            "joint": model.joint(joint).name,
+            "stiffness": float(model.actuator_gainprm[row, 0] * gear**2),
+            "damping": float((lost_by_speed - model.actuator_biasprm[row, 2]) * gear**2),
+            "effort": float(limit) if model.actuator_forcelimited[row] else None,
+            "armature": float(model.dof_armature[dof]),
+            "friction": float(friction[dof]),
+            "viscous": float(np.ravel(model.dof_damping[dof])[0]),
+            "shortest": shortest,
+            "longest": longest,
+        }
 
 
-def _moved(system: System, belief: Belief, column: int) -> set[tuple[str, int]]:
-    """Fields and rows of the model that a parameter moves."""
-    theta = np.tile(belief.estimate, (2, 1))
-    theta[1, column] = belief.given({}).sample(1, SEED)[0, column]
-    return {
-        (name, int(row))
-        for name, (before, after) in _written(system, theta).items()
-        for row in np.unique(np.nonzero(before != after)[0])
-    }
+def _actuators(draws: Drawn, tool: Tool) -> str:
+    """A function that returns the servos as the tool's configurations; empty where the model has none."""
+    module, name, (opening, closing), use = tool.actuator
+    entries = []
+    for servo in _servos(draws):
+        key = f"{_code(servo['joint'])}: " if opening == "{" else ""
+        servo["joint"] = tool.names([str(servo["joint"])])
+        values = ((argument, of, servo[of]) for argument, of in tool.arguments.items())
+        given = (f"{a}={_argument(of, value)}" for a, of, value in values if value is not None)
+        entries.append(f"        {key}{name}({', '.join(given)}),")
+    if not entries:
+        return ""
+    return _ACTUATORS.format(
+        timestep=draws.model.opt.timestep, use=use, module=module, name=name, opening=opening,
+        entries="\n".join(entries), closing=closing,
+    )  # fmt: skip
+
+
+def _argument(of: str, value: object) -> str:
+    """A value as Python text with five digits; a delay as the steps that it lasts."""
+    if not isinstance(value, float):
+        return _code(value)
+    short = float(f"{value:.5g}")
+    return f"steps({short})" if of in ("shortest", "longest") else repr(short)
+
+
+def _friction(model: mujoco.MjModel) -> FloatArray:
+    """Dry friction of each degree of freedom; that of a gear as it is under gravity, motor against load."""
+    friction = np.array(model.dof_frictionloss)
+    gears = GearFriction.of(model)
+    if gears is not None:
+        load, numbers = usual_load(model)[gears.dofs], model.numeric_data[gears.at]
+        friction[gears.dofs] += (numbers[:, 0] + numbers[:, 1]) * load
+    return friction
+
+
+def usual_load(model: mujoco.MjModel) -> FloatArray:
+    """Median force of gravity at each degree of freedom over poses within the joints' ranges, (nv,)."""
+    rng, data = np.random.default_rng(SEED), mujoco.MjData(model)
+    forces = np.zeros((_POSES, model.nv))
+    single = np.flatnonzero(np.isin(model.jnt_type, _SINGLE))
+    low, high = np.where(model.jnt_limited[single, None], model.jnt_range[single], (-np.pi, np.pi)).T
+    for pose in forces:
+        data.qpos[model.jnt_qposadr[single]] = rng.uniform(low, high)
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        pose[:] = np.abs(data.qfrc_bias)
+    return np.median(forces, axis=0)
+
+
+def _lost(model: mujoco.MjModel) -> Iterator[str]:
+    """Lines about what the actuators cannot say."""
+    if SERVOS.acting(model, ()):
+        yield (
+            "firmware of servos: punch, dead band and sag of supply are not in the actuators; back-EMF is "
+            "in their damping, which counts against the effort limit there"
+        )
+    if GearFriction.of(model) is not None:
+        yield (
+            "friction of gears: constant in the actuators, as under the median load of gravity; it neither "
+            "grows with load nor falls with speed (examples/gear_friction.py is a hook for MuJoCo that "
+            "applies it)"
+        )

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 import mujoco
 import numpy as np
 
-from amhe_cli.system.parameters.cells import Cells
+from amhe_cli.system.parameters.edits import Cells
 
 #: Fields that act at contacts only.
 _CONTACT = ("geom_friction", "geom_solref", "pair_friction", "pair_solref")

@@ -25,7 +25,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.system.parameters.cells import Cells
+from amhe_cli.system.parameters.edits import Cells
 from amhe_cli.system.parameters.numerics import Numerics
 
 #: Numbers of a joint in their order, each with its value where nothing says otherwise.

@@ -12,13 +12,9 @@ from collections.abc import Iterable, Iterator
 import mujoco
 import numpy as np
 
-from amhe_cli.system.parameters.calibration import CalibrationNumber
-from amhe_cli.system.parameters.cells import Cells
-from amhe_cli.system.parameters.delays import DelayNumber
-from amhe_cli.system.parameters.edits import PseudoInertiaEdit, ScalarEdit
+from amhe_cli.system.parameters.edits import Cells, PseudoInertiaEdit, ScalarEdit
 from amhe_cli.system.parameters.gear_friction import GearFriction
 from amhe_cli.system.parameters.model_edits import ModelEdits
-from amhe_cli.system.parameters.numerics import Numeric
 from amhe_cli.system.parameters.servos import SERVOS
 
 #: Part of a model -> the fields of MjModel that describe it, by prefix.
@@ -135,7 +131,7 @@ def _scalar(model: mujoco.MjModel, edit: ScalarEdit) -> str:
 
 def _name(model: mujoco.MjModel, cells: Cells) -> str:
     """Name of the element that a row belongs to; of its body, or its number, where it has none."""
-    if isinstance(cells, CalibrationNumber | DelayNumber | Numeric):
+    if cells.beside or cells.name:
         return cells.name
     prefix = cells.field.partition("_")[0]
     row = int(model.dof_jntid[cells.row]) if prefix == "dof" else cells.row

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator, Mapping, MutableMapping, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import mujoco
@@ -14,9 +13,15 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.system.parameters.calibration import SignalCalibration
-from amhe_cli.system.parameters.cells import Cells
-from amhe_cli.system.parameters.delays import CommandDelays, DelayNumber
-from amhe_cli.system.parameters.edits import Edit, Mode, PseudoInertiaEdit, ScalarEdit
+from amhe_cli.system.parameters.edits import (
+    CALIBRATION,
+    DELAYS,
+    Cells,
+    Edit,
+    Mode,
+    PseudoInertiaEdit,
+    ScalarEdit,
+)
 from amhe_cli.system.parameters.gear_friction import GearFriction
 from amhe_cli.system.parameters.inertia import inertia_about_com
 from amhe_cli.system.parameters.servos import Servos
@@ -52,10 +57,10 @@ class ModelEdits:
     Args:
         model: The base model.
         space: The parameters, columns that the edits write.
-        edits: The edits, which write these parameters into the model.
-        delays: Delays of commands, which parameters set too.
+        edits: The edits, which write these parameters.
+        beside: The arrays that are not the model's, without parameters, each (k,).
+        commands: The delay of each command.
         fixed: Parameters that have one value in all candidates, by name: theta has the others only.
-        calibration: Numbers of the signals' calibration, which parameters set too.
         held: Parameters that nobody asked for, by name, likewise.
     """
 
@@ -64,17 +69,18 @@ class ModelEdits:
         model: mujoco.MjModel,
         space: ParameterSpace,
         edits: Sequence[Edit],
-        delays: CommandDelays | None = None,
+        beside: Mapping[str, FloatArray],
+        commands: Sequence[Cells] = (),
         fixed: Mapping[str, float] | None = None,
-        calibration: SignalCalibration | None = None,
         held: Mapping[str, Held] | None = None,
     ) -> None:
-        self._model, self._calibration = model, calibration
+        self._model, self._beside, self._commands = model, dict(beside), tuple(commands)
         self.fixed, self.held = dict(fixed or {}), dict(held or {})
         self.space = space.without(self._known)
-        self._all, self._delays = space, delays or CommandDelays()
+        self._all = space
         self._free = [i for i, name in enumerate(space.names) if name not in self._known]
-        self._edits = tuple(edits)
+        self._edits = tuple(edit for edit in edits if not edit.cells[0].beside)
+        self._edits_beside = tuple(edit for edit in edits if edit.cells[0].beside)
         self.cells = tuple(cells for edit in self._edits for cells in edit.cells)
         self.fields: tuple[str, ...] = tuple(dict.fromkeys(cells.field for cells in self.cells))
         self.needs_set_const = bool(inputs_of_set_const() & set(self.fields))
@@ -82,10 +88,33 @@ class ModelEdits:
         self._moments = tuple(dict.fromkeys(c.row for c in single))
         self._base = [(c, np.array(getattr(model, c.field)[c.index[1:]])) for c in self.cells]
 
+    @property
+    def _every(self) -> tuple[Edit, ...]:
+        return (*self._edits, *self._edits_beside)
+
     def upon(self, model: mujoco.MjModel) -> ModelEdits:
         """The same edits upon another model of the same layout: another box in the same scene."""
+        return self.extended(model)
+
+    def extended(
+        self,
+        model: mujoco.MjModel,
+        more: Sequence[tuple[Parameter, tuple[Cells, ...], Mode]] = (),
+        calibration: SignalCalibration | None = None,
+    ) -> ModelEdits:
+        """These edits upon a model of the same layout, and after them those of further parameters.
+
+        Args:
+            model: The model.
+            more: Each parameter with the numbers that it sets.
+            calibration: The signals' calibration, with all numbers that these parameters set.
+        """
+        space = ParameterSpace((*self._all.parameters, *(parameter for parameter, _, _ in more)))
+        scalar = [ScalarEdit(len(self._all) + i, cells, mode) for i, (_, cells, mode) in enumerate(more)]
+        beside = self._beside | ({} if calibration is None else {CALIBRATION: calibration.own})
+        edits = (*self._every, *scalar)
         return ModelEdits(
-            model, self._all, self._edits, self._delays, self.fixed, self._calibration, self.held
+            model, space if more else self._all, edits, beside, self._commands, self.fixed, self.held
         )
 
     def fixing(self, values: Mapping[str, float]) -> ModelEdits:
@@ -106,21 +135,27 @@ class ModelEdits:
     def taken(self) -> set[tuple[str, int]]:
         """Field and row of the numbers that parameters set, held ones only where somebody measured them."""
         guessed = {name for name, held in self.held.items() if not held.sd}
-        edits = [e for e in self._edits if not {self._all.names[i] for i in e.columns[:1]} & guessed]
+        edits = [e for e in self._every if not {self._all.names[i] for i in e.columns[:1]} & guessed]
         return {(cells.field, cells.row) for edit in edits for cells in edit.cells}
 
     def considered(self) -> Iterator[tuple[Parameter, Held, tuple[Cells, ...], Mode]]:
-        """Held parameters that somebody measured: each with its value, what it sets in the model, and how."""
-        measured: dict[Parameter, list[ScalarEdit]] = {}
-        for edit in (*self._edits, *self._delays.edits):
-            if not isinstance(edit, ScalarEdit) or not edit.columns:
-                continue  # no number of the model, or a declared one without a parameter
-            parameter = self._all.parameters[edit.columns[0]]
-            if self.held.get(parameter.name, Held(0.0)).sd:
-                measured.setdefault(parameter, []).append(edit)
-        for parameter, edits in measured.items():
-            cells = tuple(cells for edit in edits for cells in edit.written)
-            yield parameter, self.held[parameter.name], cells, edits[0].mode
+        """Held parameters that somebody measured: each with its value, what it sets, and how."""
+        for parameter, edits in self._scalar(self._every).items():
+            if (held := self.held.get(parameter.name, Held(0.0))).sd:
+                yield parameter, held, tuple(c for edit in edits for c in edit.written), edits[0].mode
+
+    def by_parameter(self) -> list[tuple[Parameter, tuple[Cells, ...]]]:
+        """Each parameter that sets plain numbers of the model, with all of them."""
+        scalar = self._scalar(self._edits).items()
+        return [(parameter, tuple(c for edit in edits for c in edit.written)) for parameter, edits in scalar]
+
+    def _scalar(self, edits: Sequence[Edit]) -> dict[Parameter, list[ScalarEdit]]:
+        """Those of the edits that write one parameter, by it."""
+        found: dict[Parameter, list[ScalarEdit]] = {}
+        for edit in edits:
+            if isinstance(edit, ScalarEdit):
+                found.setdefault(self._all.parameters[edit.column], []).append(edit)
+        return found
 
     def own(self, model: mujoco.MjModel) -> mujoco.MjModel:
         """Copy of a model that these edits have written to, with the base model's own numbers again."""
@@ -131,8 +166,7 @@ class ModelEdits:
 
     def by_name(self) -> Iterator[tuple[str, Edit]]:
         """Each parameter, fixed ones too, with an edit that writes it."""
-        calibrated = self._calibration.edits if self._calibration else ()
-        for edit in (*self._edits, *calibrated, *self._delays.edits):
+        for edit in self._every:
             for column in edit.columns:
                 yield self._all.names[column], edit
 
@@ -147,37 +181,6 @@ class ModelEdits:
         for name, edit in self.bodies.items():
             yield name, inertia_about_com(edit.factor(self._whole(theta)))
 
-    def extended(
-        self,
-        model: mujoco.MjModel,
-        more: Sequence[tuple[Parameter, tuple[Cells, ...], Mode]],
-        calibration: SignalCalibration,
-    ) -> ModelEdits:
-        """These edits upon a model of the same layout, and after them those of further parameters.
-
-        Args:
-            model: The model.
-            more: Each parameter with the numbers that it sets.
-            calibration: The signals' calibration, with all numbers that these parameters set.
-        """
-        space = ParameterSpace((*self._all.parameters, *(parameter for parameter, _, _ in more)))
-        scalar = [ScalarEdit(len(self._all) + i, cells, mode) for i, (_, cells, mode) in enumerate(more)]
-        of_signals = [edit for edit in scalar if edit.target == "calibration"]
-        late = [edit for edit in scalar if edit.target == "command_delay"]
-        edits = (*self._edits, *(edit for edit in scalar if edit not in (*of_signals, *late)))
-        calibration = replace(calibration, edits=(*calibration.edits, *of_signals))
-        return ModelEdits(
-            model, space, edits, self._delays.with_edits(late), self.fixed, calibration, self.held
-        )
-
-    def by_parameter(self) -> list[tuple[Parameter, tuple[Cells, ...]]]:
-        """Each parameter that sets plain numbers, with all of them."""
-        reached: dict[int, tuple[Cells, ...]] = {}
-        for edit in self._edits:
-            if isinstance(edit, ScalarEdit):
-                reached[edit.column] = reached.get(edit.column, ()) + edit.written
-        return [(self._all.parameters[column], cells) for column, cells in reached.items()]
-
     def _whole(self, theta: FloatArray) -> FloatArray:
         """Columns of all parameters (n, D) from those that are free (n, d)."""
         known = self._known
@@ -186,6 +189,13 @@ class ModelEdits:
         whole = np.tile([known.get(name, np.nan) for name in self._all.names], (len(theta), 1))
         whole[:, self._free] = theta
         return whole
+
+    def _arrays_beside(self, whole: FloatArray) -> dict[str, FloatArray]:
+        """The arrays that are not the model's under all parameters (n, D), each (n, k)."""
+        arrays = {name: np.tile(own, (len(whole), 1)) for name, own in self._beside.items()}
+        for edit in self._edits_beside:
+            edit.write(arrays, whole)
+        return arrays
 
     def write(self, arrays: Mapping[str, FloatArray], theta: FloatArray) -> None:
         """Write all candidates in place.
@@ -197,27 +207,18 @@ class ModelEdits:
         for cells, numbers in self._base:
             arrays[cells.field][cells.index] = numbers
         whole = self._whole(theta)
+        every = {**arrays, **self._arrays_beside(whole)}
         for edit in self._edits:
-            edit.write(arrays, whole)
+            edit.write(every, whole)
         for row in self._moments:
             inertia = arrays["body_inertia"][:, row]
             inertia[:] = np.minimum(inertia, inertia.sum(axis=-1, keepdims=True) - inertia)
-
-    def values(self, field: str, theta: FloatArray) -> FloatArray:
-        """An array of the model that parameters write into, under candidates theta (n, d), shape (n, ...)."""
-        return self.written(theta)[field]
 
     def written(self, theta: FloatArray) -> dict[str, FloatArray]:
         """The arrays of the model that parameters write into, (n, ...), under candidates theta (n, d)."""
         arrays = {name: np.repeat(getattr(self._model, name)[None], len(theta), 0) for name in self.fields}
         self.write(arrays, theta)
         return arrays
-
-    def numbers(self, theta: FloatArray) -> FloatArray:
-        """Numbers of the signals' calibration under candidates theta (n, d), shape (n, k)."""
-        return (
-            self._calibration.numbers(self._whole(theta)) if self._calibration else np.empty((len(theta), 0))
-        )
 
     def apply(self, model: mujoco.MjModel, theta: FloatArray) -> mujoco.MjModel:
         """Copy of the model with one candidate (d,) in it, derived constants included.
@@ -250,26 +251,38 @@ class ModelEdits:
         """Places in `numeric_data` that parameters set."""
         return {cells.row for cells in self.cells if cells.field == "numeric_data"}
 
+    @property
+    def calibrated(self) -> set[int]:
+        """Rows of the signals' calibration that parameters set."""
+        return {c.row for edit in self._edits_beside for c in edit.cells if c.field == CALIBRATION}
+
+    def numbers(self, theta: FloatArray) -> FloatArray:
+        """Numbers of the signals' calibration under candidates theta (n, d), shape (n, k)."""
+        return self._arrays_beside(self._whole(theta))[CALIBRATION]
+
     def delays(self, theta: FloatArray) -> FloatArray:
         """Delays [s] of the engine's inputs under candidates theta (n, d), shape (n, nu).
 
         Of a system without commands they are zero, shape (n, 1).
         """
-        return self._delays.numbers(self._whole(theta))
+        return self._delays(self._whole(theta))
+
+    def _delays(self, whole: FloatArray) -> FloatArray:
+        return np.maximum(self._arrays_beside(whole)[DELAYS], 0.0)  # nothing acts before it was commanded
 
     @property
     def late(self) -> frozenset[str]:
         """Names of the free parameters that delay commands."""
-        names = (self._all.names[edit.column] for edit in self._delays.edits)
-        return frozenset(names) - set(self._known)
+        edits = [edit for edit in self._edits_beside if edit.cells[0].field == DELAYS]
+        return frozenset(self._all.names[i] for edit in edits for i in edit.columns) - set(self._known)
 
     @property
-    def prompt(self) -> tuple[DelayNumber, ...]:
+    def prompt(self) -> tuple[Cells, ...]:
         """The delays of all commands, where no parameter delays any."""
-        return () if self.longest_delay > 0.0 else self._delays.cells
+        return () if self.longest_delay > 0.0 else self._commands
 
     @property
     def longest_delay(self) -> float:
         """Upper bound of the command delays [s]; zero without any."""
         most = [self._known.get(p.name, p.upper) for p in self._all.parameters]
-        return float(self._delays.numbers(np.array([most])).max()) if self._delays.edits else 0.0
+        return float(self._delays(np.array([most])).max())

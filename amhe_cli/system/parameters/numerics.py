@@ -13,14 +13,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.system.parameters.cells import Cells
-
-
-@dataclass(frozen=True, slots=True)
-class Numeric(Cells):
-    """One such number; `name` says which and whose."""
-
-    name: str = ""
+from amhe_cli.system.parameters.edits import Cells
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +69,7 @@ class Numerics:
         at = self.rows(model).get(row)
         order = list(self.own)
         return [
-            Numeric("numeric_data", at[order.index(word)], name=f"{word} of {name}") for word in words if at
+            Cells("numeric_data", at[order.index(word)], name=f"{word} of {name}") for word in words if at
         ]
 
     def element(self, model: mujoco.MjModel, place: int) -> int | None:

@@ -1,4 +1,4 @@
-"""A belief as randomisation for mjlab: a Python file whose events its environments take."""
+"""How mjlab and Isaac Lab take a belief: the terms that draw the model's numbers, and actuators."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.system.export.actuators import Form, PositionServo, actuators_text, lost
 from amhe_cli.system.export.randomisation import Drawn, Event, Tool, ends
 from amhe_cli.system.parameters.inertia import PSEUDO_NAMES, log_cholesky_of, pseudo_inertia, upper_factor
 
-#: The version that the file was run with (`benchmarks/mjlab_events.py`).
-MJLAB = "1.6.0"
+#: The version that mjlab's files were run with (`benchmarks/mjlab_events.py`), and those of Isaac Lab whose
+#: source they were checked against.
+MJLAB, ISAACLAB = "1.6.0", "2.3.2 and 3.0.0"
 #: Fields of a joint: what mjlab randomises them with.
 _JOINT = {
     "dof_damping": "joint_damping",
@@ -28,8 +28,7 @@ _BODIES = 4000
 #: Numbers of an inertia below this are rounding.
 _ROUNDING = 1e-9
 _INERTIAL = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
-_SERVO = "randomize_actuator"
-_TEXT = '''
+_MJLAB_TEXT = '''
 import torch
 from mjlab.envs.mdp import dr
 from mjlab.managers.event_manager import EventTermCfg, requires_model_fields
@@ -66,16 +65,53 @@ $entries
 '''
 
 
-def _events(draws: Drawn) -> Iterator[Event]:
+_ISAACLAB_TEXT = '''
+import isaaclab.envs.mdp as mdp
+from isaaclab.managers import EventTermCfg, SceneEntityCfg
+from isaaclab.utils import configclass
+from isaaclab.utils.math import sample_uniform
+
+
+def randomize_joint_friction(env, env_ids, asset_cfg, dry, viscous):
+    """Dry friction [N m] and viscous friction [N m s/rad] of joints, each from a range of its own.
+
+    Isaac Lab's own term, randomize_joint_parameters, draws both from one range.
+    """
+    asset = env.scene[asset_cfg.name]
+    rows = env.scene.num_envs if env_ids is None or isinstance(env_ids, slice) else len(env_ids)
+    columns = asset.num_joints if isinstance(asset_cfg.joint_ids, slice) else len(asset_cfg.joint_ids)
+    coulomb = sample_uniform(*dry, (rows, columns), asset.device)
+    write = getattr(asset, "write_joint_friction_coefficient_to_sim_index", None)
+    write = write or asset.write_joint_friction_coefficient_to_sim  # its name before Isaac Lab 3
+    write(
+        joint_friction_coeff=coulomb,
+        joint_dynamic_friction_coeff=coulomb,
+        joint_viscous_friction_coeff=sample_uniform(*viscous, (rows, columns), asset.device),
+        joint_ids=asset_cfg.joint_ids,
+        env_ids=env_ids,
+    )
+
+
+@configclass
+class IdentifiedEventsCfg:
+    """Events that draw the identified numbers of the robot once for each environment."""
+
+$entries
+'''
+
+
+def _of_mjlab(draws: Drawn) -> Iterator[Event]:
     yield from _joints(draws)
     yield from _zeros(draws)
     yield from _bodies(draws)
     yield from _contacts(draws)
-    for row, kp, kd in draws.servos():
-        yield Event("gains", _SERVO, "actuator", [draws.model.actuator(row).name], {"kp": kp, "kd": kd})
+    for row, kp, kd in draws.gains():
+        names = [draws.model.actuator(row).name]
+        yield Event("gains", "randomize_actuator", "actuator", names, {"kp": kp, "kd": kd})
     for row in draws.rows("actuator_forcerange"):
         values = {"limit": draws.range("actuator_forcerange", [row], 1)}
-        yield Event("effort", _SERVO, "actuator", [draws.model.actuator(row).name], values)
+        names = [draws.model.actuator(row).name]
+        yield Event("effort", "randomize_actuator", "actuator", names, values)
 
 
 def _joints(draws: Drawn) -> Iterator[Event]:
@@ -104,7 +140,7 @@ def _bodies(draws: Drawn) -> Iterator[Event]:
             values: dict[str, object] = {"ranges": draws.range("body_mass", [row]), "operation": "abs"}
             yield Event("mass", "dr.body_mass", "body", names, values)
         elif moved == {"body_ipos"}:
-            columns = sorted(draws.columns("body_ipos", row))
+            columns = draws.columns("body_ipos", row)
             ranges = {column: draws.range("body_ipos", [row], column) for column in columns}
             values = {"ranges": ranges, "operation": "abs"}
             yield Event("com", "dr.body_com_offset", "body", names, values)
@@ -154,25 +190,48 @@ def _contacts(draws: Drawn) -> Iterator[Event]:
                 yield Event(f"friction_{column}", f"dr.{name}", kind, names, values)
 
 
-def _servo(servo: PositionServo) -> dict[str, object]:
-    return {
-        "target_names_expr": (servo.joint,), "stiffness": servo.stiffness, "damping": servo.damping,
-        "effort_limit": servo.effort, "armature": servo.armature, "frictionloss": servo.friction,
-        "viscous_damping": servo.viscous, "delay_min_lag": servo.delay[0], "delay_max_lag": servo.delay[1],
-    }  # fmt: skip
+def _of_isaaclab(draws: Drawn) -> Iterator[Event]:
+    values: dict[str, object]
+    for row in draws.rows("dof_armature"):
+        names = [draws.joint("dof_armature", row)]
+        values = {
+            "armature_distribution_params": draws.range("dof_armature", [row]), "operation": "abs",
+        }  # fmt: skip
+        yield Event("armature", "mdp.randomize_joint_parameters", "joint", names, values)
+    for row in draws.rows("dof_frictionloss", "dof_damping"):
+        names = [draws.joint("dof_damping", row)]
+        values = {"dry": draws.range("dof_frictionloss", [row]), "viscous": draws.range("dof_damping", [row])}
+        yield Event("friction", "randomize_joint_friction", "joint", names, values)
+    for row, kp, kd in draws.gains():
+        names = [draws.model.joint(int(draws.model.actuator_trnid[row, 0])).name]
+        values = {
+            "stiffness_distribution_params": kp, "damping_distribution_params": kd, "operation": "abs",
+        }  # fmt: skip
+        yield Event("gains", "mdp.randomize_actuator_gains", "joint", names, values)
+    for row in draws.rows("body_mass"):
+        moments = row in draws.rows("body_inertia")
+        if moments and row not in draws.rows("body_iquat"):  # else they do not follow the mass alone
+            draws.used.add(("body_inertia", row))
+        values = {
+            "mass_distribution_params": draws.range("body_mass", [row]), "operation": "abs",
+            "recompute_inertia": moments,
+        }  # fmt: skip
+        yield Event("mass", "mdp.randomize_rigid_body_mass", "body", [draws.model.body(row).name], values)
+    for row in draws.rows("body_ipos"):
+        place = draws.model.body_ipos[row]
+        draws.used.add(("body_ipos", row))
+        values = {
+            "com_range": {
+                "xyz"[column]: ends(draws.arrays["body_ipos"][:, row, column] - place[column])
+                for column in draws.columns("body_ipos", row)
+            }
+        }
+        yield Event("com", "mdp.randomize_rigid_body_com", "body", [draws.model.body(row).name], values)
 
 
-_FORM = Form(
-    "mjlab.actuator",
-    "BuiltinPositionActuatorCfg",
-    "()",
-    _servo,
-    "for `EntityArticulationInfoCfg(actuators=identified_actuators(timestep))`; delete those of the XML from "
-    "its spec",
-)
 #: mjlab (`mjlab.managers.EventTermCfg`).
 MJLAB_TOOL = Tool(
-    _events,
+    _of_mjlab,
     (
         f"mjlab {MJLAB}",
         "env_cfg.events |= identified_events()",
@@ -181,6 +240,38 @@ MJLAB_TOOL = Tool(
     "entity",
     tuple,
     '        "{}": {},',
-    _TEXT,
-    lambda draws: (actuators_text(draws, _FORM), lost(draws)),
-)
+    _MJLAB_TEXT,
+    (
+        "mjlab.actuator", "BuiltinPositionActuatorCfg", "()",
+        "for `EntityArticulationInfoCfg(actuators=identified_actuators(timestep))`; delete those of the XML "
+        "from its spec",
+    ),
+    {
+        "target_names_expr": "joint", "stiffness": "stiffness", "damping": "damping",
+        "effort_limit": "effort", "armature": "armature", "frictionloss": "friction",
+        "viscous_damping": "viscous", "delay_min_lag": "shortest", "delay_max_lag": "longest",
+    },
+)  # fmt: skip
+#: Isaac Lab (`isaaclab.managers.EventTermCfg`).
+ISAACLAB_TOOL = Tool(
+    _of_isaaclab,
+    (
+        f"Isaac Lab {ISAACLAB}",
+        "class EventCfg(IdentifiedEventsCfg): ...  # or copy the terms into your own",
+        f"Functions and arguments were checked against the source of Isaac Lab {ISAACLAB}; none was run.",
+    ),
+    '"robot"',
+    list,
+    "    {} = {}",
+    _ISAACLAB_TEXT,
+    (
+        "isaaclab.actuators", "DelayedPDActuatorCfg", "{}",
+        "for `ArticulationCfg(actuators=identified_actuators(timestep))`",
+    ),
+    {
+        "joint_names_expr": "joint", "stiffness": "stiffness", "damping": "damping",
+        "effort_limit": "effort", "armature": "armature", "friction": "friction",
+        "dynamic_friction": "friction", "viscous_friction": "viscous",
+        "min_delay": "shortest", "max_delay": "longest",
+    },
+)  # fmt: skip
