@@ -196,8 +196,9 @@ def trial(seed: int, robot: str, seconds: float) -> dict[str, Any]:
     ]
     return {
         "wrong": {n: [v, float(drawn[n]), said[n].log, said[n].sd] for n, v in wrong.items()},
-        "told": told, "hit": hit, "false": false, "seconds": spent, "numbers": len(found.lines),
+        "told": told, "hit": hit, "false": false, "cpu_seconds": spent, "numbers": len(found.lines),
         "missed": list(found.found.unexplained),
+        "right": [line.t for name, line in said.items() if name not in wrong and line.sd < abs(line.file)],
     }  # fmt: skip
 
 
@@ -227,6 +228,7 @@ def main() -> None:
             "can be told",
             "found of these (>= 90 %)",
             "tables with a false one (<= 5 %)",
+            "sd of t of right numbers",
             "CPU s (<= 60)",
         ),
         rows,
@@ -240,7 +242,8 @@ def row(robot: str, some: list[dict[str, Any]]) -> tuple[str, ...]:
     spoilt_ = sum(len(one["told"]) for one in some)
     return (
         robot, str(spoilt_), str(told), f"{hits / max(told, 1):.0%}", f"{false} of {len(some)}",
-        f"{np.median([one['seconds'] for one in some]):.0f}",
+        f"{np.std([t for one in some for t in one['right']]):.2f}",
+        f"{np.median([one['cpu_seconds'] for one in some]):.0f}",
     )  # fmt: skip
 
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from amhe_cli.audit.claims import Claim, Group, claims_of, doubts_of
 from amhe_cli.audit.judge import Findings, chances, contradicted, outstanding, said
-from amhe_cli.audit.weight import States, anywhere, weights
+from amhe_cli.audit.weight import anywhere, weights
+from amhe_cli.check.motion import states_along
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.log import Log
@@ -19,13 +20,10 @@ from amhe_cli.core.parameters import ParameterSpace, theta_of
 from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.core.statistics import correlation
 from amhe_cli.core.yaml_file import merged
-from amhe_cli.engine.states import home
 from amhe_cli.estimation.core.result import Identification, Iteration
 from amhe_cli.estimation.identification import IdentifyOptions, Search, concluded, searched_for
 from amhe_cli.estimation.uncertainty.fit import final_fit
 from amhe_cli.init.folder import Proposal
-from amhe_cli.matching.motion import motion_of
-from amhe_cli.matching.windows import driving
 from amhe_cli.system.system import System
 
 #: Searches until no more number stands out, at most.
@@ -34,8 +32,6 @@ _ROUNDS = 8
 _FEW = 8
 #: Share by which the cost may rise, by chance, where more is left open.
 _RISES = 1e-3
-#: States of a log that a number is weighed along.
-_STATES = 400
 #: Correlation from which two numbers are known only together.
 _TOGETHER = 0.7
 
@@ -317,22 +313,11 @@ def _weights(
         allowed = system.space.theta_of(system.space.clip(system.space.z_of(back)))
         others.append(system.edits.apply(system.model, allowed))
     try:
-        states = _along(system, logs)
+        states = states_along(system, max(logs, key=lambda one: one.duration))
     except LogError:
         states = anywhere(model)
     worth = iter(weights(model, others, states))
     return [next(worth) if bad else 0.0 for bad in wrong]
-
-
-def _along(system: System, logs: Sequence[Log]) -> States:
-    """Some states of the longest log, and what drove the model there."""
-    log = max(logs, key=lambda one: one.duration)
-    motion = motion_of(system, log)
-    some = np.linspace(0, len(motion.rows) - 1, min(_STATES, len(motion.rows))).astype(int)
-    inputs = np.tile(home(system.model, system.keyframe, system.input_spec)[1], (some.size, 1))
-    for source in system.inputs:
-        inputs[:, list(source.columns)] = driving(source, log)[motion.rows[some]]
-    return States(motion.qpos[some], motion.qvel[some], motion.qacc[some], inputs, system.input_spec)
 
 
 def _cure(system: System, found: Identification, evidence: Findings, claim: Claim) -> str:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
+from amhe_cli.check.motion import States
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.engine.inverse import forces_along
 
@@ -15,17 +15,6 @@ from amhe_cli.engine.inverse import forces_along
 _STATES = 60
 #: Speeds [rad/s] and accelerations [rad/s^2] of such states, and how far servos are from their targets [rad].
 _SPEED, _ACCELERATION, _BEHIND = 1.0, 5.0, 0.05
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class States:
-    """States of a motion: positions (T, nq), velocities and accelerations (T, nv), inputs (T, nu)."""
-
-    qpos: FloatArray
-    qvel: FloatArray
-    qacc: FloatArray
-    inputs: FloatArray
-    input_spec: int
 
 
 def anywhere(model: mujoco.MjModel) -> States:

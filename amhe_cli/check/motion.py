@@ -1,7 +1,8 @@
-"""Where a log's motion is: the range and the speed of each joint that it measures."""
+"""What a log is worth before any fit: where its motion is, and what is wrong with its recording."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -9,11 +10,23 @@ import mujoco
 import numpy as np
 
 from amhe_cli.check.findings import Finding
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.errors import LogError
 from amhe_cli.core.log import Log
+from amhe_cli.engine.inverse import forces_along
+from amhe_cli.engine.states import home
+from amhe_cli.matching.motion import motion_of
+from amhe_cli.matching.windows import driving
 from amhe_cli.system.system import System
 
 #: A joint whose range is within this many noise sd stands still, as for clips.
 _STILL = 9.0
+#: States of a log that stand for all.
+_STATES = 400
+#: Share of the time from which contacts, drives at their limits and gaps are worth a word.
+_OFTEN = 0.05
+#: Share of a limit of force that is all of it.
+_ALL = 0.999
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,54 +34,138 @@ class JointMotion:
     """The motion of one joint over some logs.
 
     Args:
-        joint: Its name.
+        joint, unit: Its name; rad or m.
         low, high: Lowest and highest position [rad or m].
         share: Share of the joint's range; None where it has none.
         speed: Largest speed [rad/s or m/s], but for 1 % of the time.
+        band: Highest frequency at which the motion is larger than the noise [Hz]; None where the logs are too
+            short to tell.
         noise: Noise sd of its sensor [rad or m].
     """
 
     joint: str
+    unit: str
     low: float
     high: float
     share: float | None
     speed: float
+    band: float | None
     noise: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class States:
+    """States of a motion: positions (T, nq), velocities and accelerations (T, nv), inputs (T, nu)."""
+
+    qpos: FloatArray
+    qvel: FloatArray
+    qacc: FloatArray
+    inputs: FloatArray
+    input_spec: int
+
+
+def states_along(system: System, log: Log) -> States:
+    """Some states of a log, and what drove the model there.
+
+    Raises:
+        LogError: It is too short, or does not measure all of the state.
+    """
+    motion = motion_of(system, log)
+    some = np.linspace(0, len(motion.rows) - 1, min(_STATES, len(motion.rows))).astype(int)
+    inputs = np.tile(home(system.model, system.keyframe, system.input_spec)[1], (some.size, 1))
+    for source in system.inputs:
+        inputs[:, list(source.columns)] = driving(source, log)[motion.rows[some]]
+    return States(motion.qpos[some], motion.qvel[some], motion.qacc[some], inputs, system.input_spec)
 
 
 def motions(system: System, logs: Sequence[Log]) -> tuple[JointMotion, ...]:
     """The motion of each hinge and slide that the logs measure."""
-    found = []
+    found, model = [], system.model
+    bands = np.max([_bands(system, log) for log in logs], axis=0)
     for channel in system.channels:
         if channel.source != "qpos" or channel.kind == "rotation":
             continue
         for i, column in enumerate(channel.columns):
             series = [log[channel.key] for log in logs]
-            values = [one.values[one.valid & one.sampled, i] for one in series]
-            both = np.concatenate(values) if values else np.zeros(0)
-            if not both.size:
-                continue
-            number = int(np.searchsorted(system.model.jnt_qposadr, column, side="right")) - 1
-            if system.model.jnt_type[number] < int(mujoco.mjtJoint.mjJNT_SLIDE):
-                continue  # a body that is free, or a ball
+            values = np.concatenate([one.values[one.valid & one.sampled, i] for one in series])
+            number = int(np.searchsorted(model.jnt_qposadr, column, side="right")) - 1
+            if not values.size or model.jnt_type[number] < int(mujoco.mjtJoint.mjJNT_SLIDE):
+                continue  # not measured, or a body that is free, or a ball
             speeds = [np.abs(np.diff(one.values[one.valid, i])) / system.dt for one in series]
-            joint = system.model.joint(number)
-            span = float(np.ptp(joint.range)) if system.model.jnt_limited[joint.id] else 0.0
-            low, high = float(both.min()), float(both.max())
-            speed = float(np.quantile(np.concatenate(speeds), 0.99))
+            joint, slides = model.joint(number), model.jnt_type[number] == mujoco.mjtJoint.mjJNT_SLIDE
+            span = float(np.ptp(joint.range)) if model.jnt_limited[number] else 0.0
+            low, high, band = float(values.min()), float(values.max()), float(bands[joint.dofadr[0]])
             found.append(
                 JointMotion(
-                    joint.name, low, high, (high - low) / span if span else None, speed, channel.noise or 0.0
+                    joint.name, "m" if slides else "rad", low, high, (high - low) / span if span else None,
+                    float(np.quantile(np.concatenate(speeds), 0.99)), band or None, channel.noise or 0.0,
                 )
-            )
+            )  # fmt: skip
     return tuple(found)
 
 
-def still(found: Sequence[JointMotion]) -> Iterator[Finding]:
-    """Joints that a log does not move: it says nothing of their drives and links."""
-    for one in found:
+def _bands(system: System, log: Log) -> FloatArray:
+    try:
+        return motion_of(system, log).band
+    except LogError:
+        return np.zeros(system.model.nv)
+
+
+def log_findings(system: System, logs: Sequence[Log], moved: Sequence[JointMotion]) -> Iterator[Finding]:
+    """What is wrong with a recording: what stands still, gaps, drives that give all, contacts.
+
+    Args:
+        system: The system that the logs were read for.
+        logs: The logs.
+        moved: Their motion.
+    """
+    for one in moved:
         if one.high - one.low <= _STILL * one.noise:
             yield Finding(
                 "still", one.joint, "it stands still in these logs", 1.0,
                 "move it: `amhe probe` writes an excitation",
             )  # fmt: skip
+    for log in logs:
+        for key in system.keys:
+            if (lost := float(1.0 - log[key].valid.mean())) > _OFTEN:
+                yield Finding(
+                    "gaps", key, f"no value in {lost:.0%} of {log.source}", 1.0 + lost,
+                    "`amhe inspect` says when: record without silences, or loosen `logs.max_gap`",
+                )  # fmt: skip
+        if not (system.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any():
+            yield from _along(system, log)
+
+
+def _along(system: System, log: Log) -> Iterator[Finding]:
+    """Drives at their limits of force, and contacts, of a robot that stands on nothing."""
+    try:
+        states = states_along(system, log)
+    except LogError:
+        return
+    model, data, touching = system.model, mujoco.MjData(system.model), Counter[str]()
+    given = forces_along(model, states.qpos, states.qvel, states.qacc, states.inputs, states.input_spec).by
+    for row in np.flatnonzero(model.actuator_forcelimited):
+        limit = np.abs(model.actuator_forcerange[row]).max() * abs(float(model.actuator_gear[row, 0]))
+        share = float((np.abs(given[:, row]).max(axis=1) >= _ALL * limit).mean())
+        if limit > 0.0 and share > _OFTEN:
+            yield Finding(
+                "saturated", model.actuator(int(row)).name, f"it gives all its force {share:.0%} of the time",
+                1.0 + share, "then its gain cannot be told: command smaller steps, or is the gain wrong?",
+            )  # fmt: skip
+    for qpos in states.qpos:
+        data.qpos[:] = qpos
+        mujoco.mj_fwdPosition(model, data)
+        touching.update(
+            {_pair(model, contact) for contact in data.contact[: data.ncon] if contact.dist < 0.0}
+        )
+    for pair, count in touching.items():
+        if (share := count / len(states.qpos)) > _OFTEN:
+            yield Finding(
+                "contact", pair, f"they touch {share:.0%} of the time", 1.0 + share,
+                "record without contact, or exclude the pair if they do not touch on the robot",
+            )  # fmt: skip
+
+
+def _pair(model: mujoco.MjModel, contact: mujoco.MjContact) -> str:
+    bodies = (int(model.geom_bodyid[geom]) for geom in contact.geom)
+    return ", ".join(sorted(model.body(body).name or f"body {body}" for body in bodies))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +16,7 @@ from amhe_cli.cli.kinds import LOG, MODEL, NewFile, episodes
 from amhe_cli.cli.session import LOSSY, Session
 
 if TYPE_CHECKING:
+    from amhe_cli.check.findings import Finding
     from amhe_cli.cli.inputs import Inputs
     from amhe_cli.core.log import Log
     from amhe_cli.system.system import System
@@ -43,11 +44,12 @@ def check(session: Session, given: Given) -> int | None:
     """
     from amhe_cli.check.findings import worst_first
     from amhe_cli.check.model import check_model, total_mass
-    from amhe_cli.check.motion import motions, still
+    from amhe_cli.check.motion import log_findings, motions
     from amhe_cli.cli.inputs import model_file, urdf_options
     from amhe_cli.cli.required import missed_of
     from amhe_cli.core.files import write_whole
     from amhe_cli.estimation.design.expected import expected
+    from amhe_cli.estimation.explain.first_look import first_look
     from amhe_cli.report.check import check_page, expected_record, print_expected, print_findings
     from amhe_cli.system.model.files import compiled, read_spec
 
@@ -58,10 +60,13 @@ def check(session: Session, given: Given) -> int | None:
     made = compiled(read_spec(path, urdf_options(path, not given.no_meshes)), path.name)
     found, moved, hope, missed = list(check_model(made)), (), None, []
     if given.logs:
+        session.listed = texts = []
         system, read = _read(given.inputs, path, given.logs, not given.no_meshes)
         moved = motions(system, read)
-        found += still(moved)
+        found += log_findings(system, read, moved)
+        found += _told(read, [*texts, *(text for log in read for text in first_look(system, log))])
         hope = expected(system, read)
+        session.listed = None
         missed = missed_of(hope.parameters, given.require, "expected to be known")
     found = worst_first(found)
     session.warnings += [f"{one.where}: {one.what}" for one in found]
@@ -82,6 +87,19 @@ def check(session: Session, given: Given) -> int | None:
         for text in missed:
             console.print(f"not reached: {text}", style="yellow")
     return LOSSY if missed else None
+
+
+def _told(logs: Sequence[Log], texts: Iterable[str]) -> Iterator[Finding]:
+    """What was said of logs on reading them, and at first sight: clocks, spikes, damage, signs, units."""
+    from amhe_cli.check.findings import Finding
+    from amhe_cli.cli.advice import entry_of
+
+    sources = {log.source for log in logs}
+    for text in dict.fromkeys(texts):
+        source = next((one for one in sources if text.startswith(f"{one}: ")), "")
+        entry = entry_of(text)
+        cure = f"amhe help {entry}" if entry else "put it right in the log, or in what the system says of it"
+        yield Finding("recording", source or "log", text.removeprefix(f"{source}: "), 1.0, cure)
 
 
 def _read(inputs: Inputs, path: Path, logs: Sequence[Path], meshes: bool) -> tuple[System, list[Log]]:

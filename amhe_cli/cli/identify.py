@@ -84,7 +84,7 @@ def identify(session: Session, given: Given) -> int | None:
     from amhe_cli.api.identify import Interrupted
     from amhe_cli.api.identify import identify as run
     from amhe_cli.api.repair import repair
-    from amhe_cli.check.motion import motions, still
+    from amhe_cli.check.motion import log_findings, motions
     from amhe_cli.cli.progress import of_search, progress
     from amhe_cli.cli.required import matching, missed_of
     from amhe_cli.logs import members, read_log
@@ -106,7 +106,8 @@ def identify(session: Session, given: Given) -> int | None:
     matching(system.space.names, given.require)
     training = inputs.read(system, logs)
     console = None if session.json else session.console()
-    findings = said_before(system, still(motions(system, training)), console)
+    doubts = log_findings(system, training, motions(system, training))
+    findings = said_before(system, doubts, console)
     validation = read_log(given.held_out, system, msg_path=inputs.msg_path)
     if given.repair:
         run = partial(repair, cause=None if given.repair == "all" else given.repair)

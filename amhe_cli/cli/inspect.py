@@ -63,12 +63,9 @@ def looked_at(found: Inspection, system: System) -> Inspection:
     """An inspection with remarks on what is wrong in the log at first sight."""
     from dataclasses import replace
 
-    import numpy as np
-
     from amhe_cli.estimation.explain.first_look import first_look
 
     if found.log is None:
         return found
     columns = [name for topic in found.survey.topics if topic.encoding == "table" for name in topic.entries]
-    remarks = first_look(system, found.log, columns, np.random.default_rng(0))
-    return replace(found, remarks=tuple(remarks))
+    return replace(found, remarks=tuple(first_look(system, found.log, columns)))

@@ -72,6 +72,7 @@ class Session:
         options: What the user types for the arguments of the library: see `command.options_of`.
         command_line: What the user typed, for provenance.
         warnings: What the library warned of, once each; the content of result.json's `warnings`.
+        listed: Takes warnings that the command has a list of its own for; None: they go to stderr.
         interrupted: The command was stopped before it was through, and kept what it had.
         terminated: By SIGTERM or SIGHUP, not by Ctrl-C.
         failed: The command did its work, and its outcome is a failure.
@@ -84,6 +85,7 @@ class Session:
         self.command_line = shlex.join(["amhe", *arguments])
         self.started = time.monotonic()
         self.warnings: list[str] = []
+        self.listed: list[str] | None = None
         self.interrupted = False
         self.terminated = False
         self.failed = False
@@ -209,6 +211,9 @@ def _listener(session: Session) -> Handler:
         def emit(self, record: logging.LogRecord) -> None:
             text = in_options(record.getMessage(), session.options)
             if record.levelno >= logging.WARNING:
+                if session.listed is not None:
+                    session.listed.append(text)
+                    return
                 if text in session.warnings:
                     return
                 session.warnings.append(text)

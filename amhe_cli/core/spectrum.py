@@ -119,7 +119,7 @@ def _corrections(
     for k, some in enumerate(above):
         parts = (np.concatenate((one.real, one.imag)) for one in (of_cubics[some], left[some, k]))
         slopes, target = (one / np.sqrt(noise[k]) for one in parts)
-        known = slopes.T @ slopes + np.diag(1.0 / np.maximum(expected[:, k], 1e-300) ** 2)
+        known = slopes.T @ slopes + np.diag(1.0 / np.maximum(expected[:, k], 1e-100) ** 2)
         found[:, k] = np.linalg.lstsq(known, slopes.T @ target, rcond=None)[0]
     return found
 

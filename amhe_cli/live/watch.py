@@ -109,7 +109,7 @@ class _FirstLook:
 
     def _look(self, window: Window) -> None:
         with suppress(AmheError):  # too little of a motion, say: there is nothing to be said then
-            self._found = [*first_look(self._system, window.log, (), np.random.default_rng(0))]
+            self._found = [*first_look(self._system, window.log)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -66,14 +66,15 @@ def said_before(system: System, more: Iterable[Finding], console: Console | None
 def print_expected(hope: Expected, moved: Sequence[JointMotion], console: Console) -> None:
     """Print where the motion is, and what it will tell."""
     for table in (_motion_table(moved), _expected_table(hope)):
-        console.print()
-        console.print(rich_table(table))
+        if table.rows:
+            console.print()
+            console.print(rich_table(table))
     console.print()
     for p in hope.parameters:
         if why := _why(hope, p):
             console.print(f"{p.name}: {why}", soft_wrap=True)
-    for one in hope.combinations[:_TOGETHER]:
-        console.print(f"known together: {one.text} to {numbers.percent(one.sd)}", soft_wrap=True)
+    for text in _together(hope)[:_TOGETHER]:
+        console.print(f"known together: {text}", soft_wrap=True)
     console.print(_time(hope))
 
 
@@ -118,16 +119,15 @@ def check_page(
         good = "good" if told == len(hope.parameters) else "mixed"
         tell = f"These logs will tell {told} of {len(hope.parameters)} parameters."
         statements.append(Statement(good, tell))
+        sections += [Section("Where the motion is", table=_motion_table(moved))] if moved else []
         sections += [
-            Section("Where the motion is", table=_motion_table(moved)),
             Section(
                 "What a fit will say",
                 text=f"From slopes near the estimate of a few clips. {_time(hope)}.".replace("`", ""),
                 table=_expected_table(hope),
             ),
         ]
-        if hope.combinations:
-            known = [f"{one.text}, to {numbers.percent(one.sd)}" for one in hope.combinations]
+        if known := _together(hope):
             sections.append(Section("Known together only", items=known))
     sections.append(Section("How it was made", items=[command], files=True, folded=True))
     headline = f"{_doubts(len(found))}." if found else "Nothing that a robot could not have."
@@ -162,22 +162,35 @@ def _table(rows: Any) -> Table:
 def _motion_table(moved: Sequence[JointMotion]) -> Table:
     rows = [
         (
-            one.joint, f"{one.low:.3g} to {one.high:.3g}",
-            "" if one.share is None else numbers.percent(one.share), f"{one.speed:.3g}",
+            one.joint, f"{one.low:.3g} to {one.high:.3g} {one.unit}",
+            "" if one.share is None else numbers.percent(one.share), f"{one.speed:.3g} {one.unit}/s",
+            "" if one.band is None else f"{one.band:.2g} Hz",
         )
         for one in moved
     ]  # fmt: skip
-    return Table(("joint", "moves", "of its range", "speed"), ("", *[NUMBER] * 3), rows)
+    return Table(("joint", "moves", "of its range", "speed", "up to"), ("", *[NUMBER] * 4), rows)
 
 
 def _expected_table(hope: Expected) -> Table:
-    rows = [
-        (p.name, f"{p.prior:.3g}", numbers.percent(relative(p)), numbers.unit_of(p.unit), p.verdict)
-        for p in hope.parameters
-    ]
-    looks = ("", NUMBER, NUMBER, "", "")
+    rows = [(p.name, f"{p.prior:.3g}", numbers.unit_of(p.unit), _size(p), p.verdict) for p in hope.parameters]
+    looks = ("", NUMBER, "", NUMBER, "")
     remarks = [_why(hope, p).replace("`", "") for p in hope.parameters]
-    return Table(("parameter", "prior", "expected sd", "unit", "verdict"), looks, rows, remarks)
+    return Table(("parameter", "prior", "unit", "expected sd", "verdict"), looks, rows, remarks)
+
+
+def _together(hope: Expected) -> list[str]:
+    """Products and ratios that will be known better than either of their factors."""
+    sd = {p.name: relative(p) for p in hope.parameters}
+    return [
+        f"{one.text}, to {numbers.percent(one.sd)}"
+        for one in hope.combinations
+        if one.sd < min(sd[name] for name in one.names)
+    ]
+
+
+def _size(p: ParameterResult) -> str:
+    """The sd as a share of the value; where that may be zero, in its unit."""
+    return numbers.percent(relative(p)) if p.sd < abs(p.estimate) else numbers.quantity(f"{p.sd:.2g}", p.unit)
 
 
 def relative(p: ParameterResult) -> float:

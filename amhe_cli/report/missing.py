@@ -48,7 +48,8 @@ def rest(found: Missing) -> str:
     if found.untested:
         return f"what the model lacks was not looked for: {found.untested}"
     subject = "nothing else" if found.rows else "nothing"
-    return f"{subject} of {found.tested} causes explains more than chance ({numbers.percent(found.chance)})"
+    text = f"{subject} of {found.tested} causes explains more than chance"
+    return f"{text} ({numbers.percent(found.chance)})" if found.chance < 1.0 else text
 
 
 def repairs_record(tried: Sequence[Repair]) -> list[dict[str, Any]]:

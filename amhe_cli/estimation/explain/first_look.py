@@ -14,14 +14,16 @@ from amhe_cli.estimation.offline.clips import whole
 from amhe_cli.system.system import System
 
 
-def first_look(system: System, log: Log, columns: Sequence[str], rng: np.random.Generator) -> Iterator[str]:
+def first_look(
+    system: System, log: Log, columns: Sequence[str] = (), rng: np.random.Generator | None = None
+) -> Iterator[str]:
     """Sentences about a log that was read for a system; what contradicts itself is said on reading it.
 
     Args:
         system: The system.
         log: Its log.
         columns: Columns of the log's table; empty for other formats.
-        rng: Generator of the signs of blocks.
+        rng: Generator of the signs of blocks; None: the same in each call.
     """
     model = system.model
     place = controls(model, system.input_spec) or slice(0, 0)
@@ -46,5 +48,5 @@ def first_look(system: System, log: Log, columns: Sequence[str], rng: np.random.
         for column in still if not series.derived else ():
             name = names[column] if column < len(names) else f"number {column}"
             yield f"{key} of {name} never changes: it is {values[0, column]:.4g} throughout"
-    for wrong in mended(system, [whole(log)], rng)[:1]:
+    for wrong in mended(system, [whole(log)], rng or np.random.default_rng(0))[:1]:
         yield wrong.sentence
