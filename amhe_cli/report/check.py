@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
@@ -20,6 +21,8 @@ from amhe_cli.system.system import System
 
 #: Findings that a terminal lists, alone and before a fit, and combinations.
 _LISTED, _FEW, _TOGETHER = 20, 3, 4
+#: What a reason says of one parameter: reasons that are alike but for it are one.
+_LEFT_OPEN = re.compile(r",? that leaves [^;]* open")
 #: Kind of the first reason of a verdict -> what would cure it.
 _CURES = {
     "idle": "move what it acts on, or log what it moves: `amhe probe` writes an excitation",
@@ -70,9 +73,12 @@ def print_expected(hope: Expected, moved: Sequence[JointMotion], console: Consol
             console.print()
             console.print(rich_table(table))
     console.print()
+    alike: dict[str, list[str]] = {}
     for p in hope.parameters:
-        if why := _why(hope, p):
-            console.print(f"{p.name}: {why}", soft_wrap=True)
+        alike.setdefault(_LEFT_OPEN.sub("", _why(hope, p)), []).append(p.name)
+    for why, names in alike.items():
+        if why:
+            console.print(f"{numbers.some(names)}: {why}", soft_wrap=True)
     for text in _together(hope)[:_TOGETHER]:
         console.print(f"known together: {text}", soft_wrap=True)
     console.print(_time(hope))
