@@ -22,7 +22,7 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -58,7 +58,7 @@ class Heard:
     load: float = 0.0
 
 
-def watched(number: int, seconds: float, at: float, router: str) -> tuple[Heard, float]:
+def watched(number: int, seconds: float, at: float, endpoint: str) -> tuple[Heard, float]:
     """Run an arm and its watch; what was heard, and when the payload was put on, infinite if it was not."""
     domain, python = str(FIRST_DOMAIN + number), [sys.executable, "-u"]
     env = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join((str(PROJECT), *sys.path))}
@@ -66,16 +66,16 @@ def watched(number: int, seconds: float, at: float, router: str) -> tuple[Heard,
     arm += ["--seconds", str(seconds + 60.0), "--at", str(at), "--payload", str(PAYLOAD)]
     watch = [*python, "-m", "amhe_cli", "watch", "--system", "pendulum", "--source", "ros2", "-q"]
     watch += ["--domain", domain, "--set", "live.interface=127.0.0.1"]
-    if router:
-        arm += ["--transport", "zenoh", "--connect", router]
+    if endpoint:
+        arm += ["--transport", "zenoh", "--connect", endpoint]
         watch[watch.index("ros2")] = "zenoh"
-        watch += ["--connect", router]
+        watch += ["--connect", endpoint]
     with (
         tempfile.TemporaryDirectory() as folder,
         subprocess.Popen(arm, stdout=subprocess.PIPE, text=True, env=env) as robot,
         subprocess.Popen([*watch, "-o", f"{folder}/out"], env=env, stdout=subprocess.DEVNULL) as process,
     ):
-        heard = listened(int(domain), process.pid, seconds, router)
+        heard = listened(int(domain), process.pid, seconds, endpoint)
         process.send_signal(signal.SIGTERM)
         process.wait(60.0)
         robot.terminate()
@@ -83,12 +83,12 @@ def watched(number: int, seconds: float, at: float, router: str) -> tuple[Heard,
     return heard, float(said[1]) if said else np.inf
 
 
-def listened(domain: int, pid: int, seconds: float, router: str) -> Heard:
+def listened(domain: int, pid: int, seconds: float, endpoint: str) -> Heard:
     """Listen to the watch of a process for so long."""
     store, heard = get_typestore(Stores.LATEST), Heard()
     topics = {"/amhe/params", "/amhe/jump"}
-    if router:
-        transport: Transport = Zenoh(topics, Definitions(), domain, router)
+    if endpoint:
+        transport: Transport = Zenoh(topics, Definitions(), domain, endpoint)
     else:
         transport = Dds(topics, Definitions(), domain, "127.0.0.1")
     begun = time.monotonic()
@@ -111,26 +111,24 @@ def listened(domain: int, pid: int, seconds: float, router: str) -> Heard:
     return heard
 
 
-@contextmanager
-def routing(wanted: bool) -> Iterator[str]:
-    """A router of Zenoh, and where it listens; '' without one."""
-    if not wanted:
-        yield ""
-        return
-    import zenoh
-
+def free_endpoint() -> str:
+    """Where a router of Zenoh can listen."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
-        where = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+
+
+@contextmanager
+def router(where: str) -> Iterator[None]:
+    """A router of Zenoh at an endpoint."""
+    import zenoh
+
     config = zenoh.Config()
-    for key, value in (
-        ("mode", "router"),
-        ("listen/endpoints", [where]),
-        ("scouting/multicast/enabled", False),
-    ):
+    chosen = {"mode": "router", "listen/endpoints": [where], "scouting/multicast/enabled": False}
+    for key, value in chosen.items():
         config.insert_json5(key, json.dumps(value))
     with zenoh.open(config):
-        yield where
+        yield
 
 
 def children(pid: int) -> list[int]:
@@ -175,8 +173,9 @@ def main() -> None:
     parser.add_argument("--transport", choices=("dds", "zenoh"), default="dds")
     chosen = parser.parse_args()
     ends = [chosen.seconds / 2.0 if number % 2 else 1e9 for number in range(chosen.arms)]
-    with ThreadPoolExecutor(chosen.arms) as pool, routing(chosen.transport == "zenoh") as router:
-        seconds, where = ([one] * chosen.arms for one in (chosen.seconds, router))
+    endpoint = free_endpoint() if chosen.transport == "zenoh" else ""
+    with ThreadPoolExecutor(chosen.arms) as pool, router(endpoint) if endpoint else nullcontext():
+        seconds, where = ([one] * chosen.arms for one in (chosen.seconds, endpoint))
         found = list(pool.map(watched, range(chosen.arms), seconds, ends, where))
     table = [judged(*one) for one in found]
     for row in table:

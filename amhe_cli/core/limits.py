@@ -53,7 +53,7 @@ class Limits:
     model_numbers: int = 25_000_000
     model_iterations: int = 1_000_000
     yaml_mib: int = 4
-    yaml_values: int = 150_000
+    yaml_values: int = 130_000
 
     @property
     def piece(self) -> int:

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import types
 from collections.abc import Iterator, Mapping
+from itertools import islice
 from typing import Annotated, Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
 from amhe_cli.core.errors import one_of
 from amhe_cli.core.yaml_file import Place, at_place
+
+#: Lengths of the starts of mappings and lists that are looked at where there are more mistakes than the last:
+#: each costs a kilobyte.
+_STARTS = 200, 2_000
+#: Mistakes of a whole collection, which its start may have without it.
+_OF_ALL = ("missing", "value_error", "too_short")
 
 
 def mistakes(
@@ -24,10 +31,29 @@ def mistakes(
         examples: Keys whose shape is best explained by an example -> what would be valid.
     """
     by_place: dict[Place, list[Any]] = {}
-    for mistake in error.errors(include_url=False):
+    for mistake in _listed(error, model, data):
         by_place.setdefault(tuple(_real(data, mistake["loc"])), []).append(mistake)
     for place, here in by_place.items():
         yield place, _in_words(here, place, data, model, examples), here[0]["type"] == "extra_forbidden"
+
+
+def _listed(error: ValidationError, model: Any, data: Any) -> list[Any]:
+    """What validating found; where that is very much, only what it finds in the start of each collection."""
+    for length in _STARTS if error.error_count() > _STARTS[-1] else ():
+        try:
+            model.model_validate(_start(data, length))
+        except ValidationError as fewer:  # what the start lacks may come later
+            found = [one for one in fewer.errors(include_url=False) if one["type"] not in _OF_ALL]
+            if found:
+                return found
+    return error.errors(include_url=False)
+
+
+def _start(data: Any, length: int) -> Any:
+    """The data with no more than so many entries in each mapping and list."""
+    if isinstance(data, Mapping):
+        return {key: _start(value, length) for key, value in islice(data.items(), length)}
+    return [_start(value, length) for value in data[:length]] if isinstance(data, list) else data
 
 
 def _keys_at(model: Any, place: Place) -> list[str]:

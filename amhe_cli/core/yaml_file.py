@@ -53,8 +53,8 @@ class _Loader(*_BASES):
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         """Compose one value; refused where aliases unfold to too much, or where it is too deep."""
-        mark, before, beside = self.peek_event().start_mark, self._values, self._height
-        alias = self.check_event(yaml.AliasEvent)
+        event, before, beside = self.peek_event(), self._values, self._height
+        mark, alias = event.start_mark, isinstance(event, yaml.AliasEvent)
         self._depth, self._height = self._depth + 1, 0
         self._check(mark)
         node = super().compose_node(parent, index)
@@ -63,7 +63,10 @@ class _Loader(*_BASES):
         size, height = self._sizes.get(id(node), (0, _DEEPEST + 1)) if alias else (1, self._height + 1)
         self._values, self._height = self._values + size, max(beside, height)
         self._check(mark)
-        self._sizes[id(node)] = self._values - before, height
+        if isinstance(node, yaml.ScalarNode) and not node.tag.endswith(":null"):
+            node.end_mark = None  # nobody asks for it: it is a fifth of the memory
+        if event.anchor is not None:  # the node lives as long as the loader, and keeps its id
+            self._sizes[id(node)] = self._values - before, height
         return node
 
     def _check(self, mark: yaml.Mark) -> None:
@@ -144,11 +147,11 @@ class YamlFile:
         self.path = path
         self._overrides = overrides or {}
         self._problems: dict[str, tuple[int, int]] = {}
-        self._unlisted = 0
+        self._more = False  # mistakes than are listed
         loader, self._node = self._composed()
         for mark, text in loader.duplicates[:_MOST_MISTAKES]:
             self._note(mark, text)
-        self._unlisted += len(loader.duplicates[_MOST_MISTAKES:])
+        self._more = len(loader.duplicates) > _MOST_MISTAKES
         if not patient:
             self.raise_problems()
         self.own: dict[str, Any] = {} if self._node is None else self._constructed(loader, self._node)
@@ -159,7 +162,7 @@ class YamlFile:
     def problem(self, place: Place, text: str, at_key: bool = False) -> None:
         """Note a mistake at the value, or key, that `place` names; `raise_problems` reports them."""
         if len(self._problems) >= _MOST_MISTAKES:
-            self._unlisted += 1
+            self._more = True
             return
         if self._is_override(place):
             name = ".".join(map(str, place)).removeprefix("settings.")
@@ -177,8 +180,7 @@ class YamlFile:
         """Raise one ConfigError with a line for each mistake, in the file's order; of many, the first."""
         if self._problems:
             lines = sorted(self._problems, key=lambda text: self._problems[text])
-            more = [f"{self.path}: {self._unlisted} more mistakes"] if self._unlisted else []
-            raise ConfigError("\n".join(lines + more))
+            raise ConfigError("\n".join(lines + self._more * [f"{self.path}: there are more mistakes"]))
 
     def _composed(self) -> tuple[_Loader, yaml.Node | None]:
         check_regular(self.path)

@@ -70,6 +70,7 @@ def watch(system: System, source: LiveSource, worker: Worker) -> Iterator[Estima
         samples = source.wait()
         if source.epoch != epoch:  # its clock was set back: samples of before and after do not mix
             tracker, epoch = Tracker(system, worker), source.epoch
+            look.forget()
         if np.isfinite(source.now):
             now = float(np.floor(source.now / system.dt + 1e-6)) * system.dt  # in phase with the samples
             for news in worker.poll(now) if source.over else tracker.feed(samples, now):
@@ -87,9 +88,14 @@ class _FirstLook:
 
     def __init__(self, system: System) -> None:
         self._system = system
-        self._kept = Buffer(system.signals, _LOOKED_AT, system.dt, system.settings.logs.max_gap)
         self._thread: Thread | None = None
         self._found: list[str] = []
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin again with the samples that come now."""
+        system = self._system
+        self._kept = Buffer(system.signals, _LOOKED_AT, system.dt, system.settings.logs.max_gap)
 
     def remarks(self, samples: Samples, now: float) -> list[str]:
         """What has been found since the last call, with the next samples up to a time [s]."""

@@ -78,7 +78,7 @@ class WatchReport:
     ) -> None:
         self._folder, self._system, self._source = folder, system, source
         self._provenance, self._send, self._alarms = provenance, send, alarms
-        self._audit, self._lines = audit, list[Line]()
+        self._audit, self._lines, self._audited = audit, list[Line](), list[Estimate]()
         self._counts, self._last, self._jump = Counter[str](), list[Estimate](), list[Estimate]()
         self._history: deque[Estimate] = deque(maxlen=_SHOWN)
         self._events: deque[tuple[float, str]] = deque(maxlen=_EVENTS)
@@ -129,8 +129,8 @@ class WatchReport:
             self._now, self._moved_at = self._source.now, clock
         if clock - self._diagnosed_at >= _DIAGNOSED:
             self._diagnosed_at = clock
-            if self._audit and self._last:
-                self._lines = list(self._audit(self._last[0].belief))
+            if self._audit and self._last != self._audited:
+                self._lines, self._audited = list(self._audit(self._last[0].belief)), self._last
             rates = {one.topic: f"{one.rate:.0f} Hz" for one in self._source.topics()}
             self._log.also = self._send
             stamp = self._source.stamp_ns(max(self._now, 0.0))

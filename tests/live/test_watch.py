@@ -12,9 +12,11 @@ import pytest
 from amhe_cli.core.errors import ConfigError, EstimationError
 from amhe_cli.core.samples import Samples
 from amhe_cli.engine.open import open_engine
+from amhe_cli.estimation.online.buffer import BEFORE
 from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon
 from amhe_cli.estimation.online.replay import open_replay, replayed
 from amhe_cli.estimation.online.workers import InStep, News, Trouble
+from amhe_cli.live import watch as live_watch
 from amhe_cli.live.watch import Alarm, estimator_of, watch
 from amhe_cli.logs import read_log
 from amhe_cli.logs.containers.folder import open_log
@@ -95,12 +97,13 @@ def test_a_payload_is_a_jump_and_its_mass_is_found(pendulum, jumping, monkeypatc
 class Restarted:
     """A source whose clock is set back once."""
 
-    def __init__(self) -> None:
+    def __init__(self, set_at: int = 60) -> None:
         self.looks, self.epoch, self.over, self.now = 0, 0, False, -np.inf
+        self.set_at = set_at
 
     def wait(self) -> Samples:
         self.looks += 1
-        self.now, self.epoch, self.over = 0.01 * self.looks, int(self.looks > 60), self.looks > 100
+        self.now, self.epoch, self.over = 0.01 * self.looks, int(self.looks > self.set_at), self.looks > 100
         times = np.array([self.now])
         return {
             key: (times, np.zeros((1, 1)))
@@ -108,7 +111,17 @@ class Restarted:
         }
 
     def events(self) -> list[str]:
-        return ["set back"] if self.looks == 61 else []
+        return ["set back"] if self.looks == self.set_at + 1 else []
+
+
+def test_the_first_look_does_not_reach_across_a_clock_that_was_set(pendulum: System, monkeypatch) -> None:
+    looked: list[int] = []
+    monkeypatch.setattr(live_watch, "_LOOKED_AT", 0.3)
+    monkeypatch.setattr(live_watch, "first_look", lambda system, log, *_: looked.append(log.start_ns) or [])
+    source = Restarted(set_at=20)
+    list(watch(pendulum, source, Idle(pendulum)))
+    (start,) = looked
+    assert start / 1e9 + BEFORE > 0.2
 
 
 def test_windows_do_not_reach_across_a_clock_that_was_set(pendulum: System) -> None:
@@ -160,6 +173,7 @@ def test_a_wrong_sign_is_said_at_the_start(pendulum, pendulum_log, monkeypatch) 
     clock = iter(np.arange(0.0, 1000.0, 0.005).tolist())
     monkeypatch.setattr(transport.time, "monotonic", lambda: next(clock))
     monkeypatch.setattr(messages, "STEP", 0.0)
+    monkeypatch.setattr(live_watch, "_LAST", 60.0)
     signals = [replace(s, reversed=(0,)) if s.is_input else s for s in pendulum.signals]
     wrong = replace(pendulum, signals=tuple(signals))
     said = [one for one in watch(wrong, played(pendulum_log, wrong), Idle(pendulum)) if isinstance(one, str)]

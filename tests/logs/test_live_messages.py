@@ -109,6 +109,29 @@ def test_a_clock_that_is_set_back_begins_anew_later_than_all_before(fed, monkeyp
     assert made.stamp_ns(times_of(found)[1]) == pytest.approx(6.1 * SECOND, abs=1000)
 
 
+def test_a_counter_of_milliseconds_is_the_clock_of_messages_without_a_stamp(monkeypatch) -> None:
+    """A starved sender writes 40 messages each 80 ms, then its counter begins again, then it sets none."""
+    monkeypatch.setattr(messages, "STEP", 0.0)
+    kind, fields = "unitree_go/msg/LowState", {"position": ("motor_state[0].q",)}
+    transport, signal = Fed(), Signal("joints", "/low", ("position",), kind, ("a",), fields=fields)
+    made, connection = source(transport, signal), Connection("/low", kind, "json", "", "")
+
+    def feed(ticks: Sequence[int], seconds: float) -> list[float]:
+        sent = [round((100.0 + seconds) * SECOND) + i for i in range(len(ticks))]
+        lines = [json.dumps({"tick": tick, "motor_state": [{"q": 1.0}]}).encode() for tick in ticks]
+        transport.waiting.append(batch_of(connection, sent, sent, lines))
+        return times_of(made.wait())
+
+    bursts = [feed(range(5000 + 80 * i, 5080 + 80 * i, 2), 0.08 * (i + 1)) for i in range(50)]
+    times = [time for burst in bursts for time in burst]
+    np.testing.assert_allclose(np.diff(times), 0.002, atol=2e-6)
+    again = feed(range(2, 82, 2), 4.58) + feed(range(82, 162, 2), 4.66)
+    np.testing.assert_allclose(np.diff(again), 0.002, atol=2e-6)
+    assert 0.4 < again[0] - times[-1] < 0.6
+    assert made.events() == [] and made.epoch == 0
+    assert feed([0, 0], 6.0) == []
+
+
 def test_angles_that_wrap_go_on_across_looks(monkeypatch) -> None:
     monkeypatch.setattr(messages, "STEP", 0.0)
     wrapping = Signal(

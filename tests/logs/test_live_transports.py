@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import socket
 import time
-from collections.abc import Iterator
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from amhe_cli.logs.containers.raw import Batch
 from amhe_cli.logs.live.messages import LiveSource
 from amhe_cli.logs.live.ros import RosTransport, dds_type, renamed, ros_type
 from amhe_cli.logs.messages.definitions import Definitions
+from benchmarks.watch import free_endpoint, router
 from examples.ros2_arm import zeros
 
 KIND = "sensor_msgs/msg/JointState"
@@ -91,66 +92,42 @@ def test_the_low_state_of_a_unitree_robot_is_read_without_its_definitions() -> N
     assert source.events() == []
 
 
-def routing(where: str) -> Any:
-    zenoh = pytest.importorskip("zenoh")
-    config = zenoh.Config()
-    config.insert_json5("mode", '"router"')
-    config.insert_json5("listen/endpoints", json.dumps([where]))
-    config.insert_json5("scouting/multicast/enabled", "false")
-    return zenoh.open(config)
-
-
-def free_endpoint() -> str:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
-
-
-@pytest.fixture
-def router() -> Iterator[str]:
-    session = routing(where := free_endpoint())
-    yield where
-    session.close()
-
-
 @pytest.mark.slow
 def test_a_router_that_is_gone_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("zenoh")
     from amhe_cli.logs.live import zenoh
 
     monkeypatch.setattr(zenoh, "_LOOK", 0.2)
-    first = routing(where := free_endpoint())
-    transport = zenoh.Zenoh({"/arm/joint_states"}, Definitions(), 3, where)
+    with router(where := free_endpoint()):
+        transport = zenoh.Zenoh({"/arm/joint_states"}, Definitions(), 3, where)
+        found = exchanged(transport, transport)
     try:
-        assert exchanged(transport, transport)
-        first.close()
+        assert found
         end = time.monotonic() + 10.0
         while not (notes := transport.notes()) and time.monotonic() < end:
             transport.receive()
             time.sleep(0.05)
         assert "the router is gone" in notes[0]
-        second = routing(where)
-        assert exchanged(transport, transport, 20.0)
-        second.close()
+        with router(where):
+            assert exchanged(transport, transport, 20.0)
     finally:
         transport.close()
 
 
-def test_zenoh_brings_what_is_published_and_names_what_is_offered(router: str) -> None:
+def test_zenoh_brings_what_is_published_and_names_what_is_offered() -> None:
+    pytest.importorskip("zenoh")
     from amhe_cli.logs.live.zenoh import Zenoh
 
-    sender = Zenoh((), Definitions(), 3, router)
-    receiver, other = (Zenoh({topic}, Definitions(), 3, router) for topic in ("/arm/joint_states", "/other"))
-    try:
-        check(exchanged(sender, receiver))
-        end = time.monotonic() + 5.0
-        while not other.connections and time.monotonic() < end:
-            assert other.receive() == []
-            time.sleep(0.02)
-        assert [one.topic for one in other.connections] == ["/arm/joint_states"]
-    finally:
-        for one in (sender, receiver, other):
-            one.close()
+    with router(where := free_endpoint()):
+        wanted = (), {"/arm/joint_states"}, {"/other"}
+        sender, receiver, other = (Zenoh(topics, Definitions(), 3, where) for topics in wanted)
+        with closing(sender), closing(receiver), closing(other):
+            check(exchanged(sender, receiver))
+            end = time.monotonic() + 5.0
+            while not other.connections and time.monotonic() < end:
+                assert other.receive() == []
+                time.sleep(0.02)
+            assert [one.topic for one in other.connections] == ["/arm/joint_states"]
 
 
 def test_without_a_router_there_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -78,6 +79,16 @@ def test_numbers_for_prometheus_are_well_formed(report, estimate) -> None:
     assert all(re.fullmatch(r'amhe_\w+\{(\w+="([^"\\]|\\.)*",?)*\} \S+', line) for line in lines)
     assert 'amhe_topic_dropped_total{topic="/a\\"b"} 2' in lines
     assert 'amhe_parameter_estimate{name="load_mass",unit="kg"} 0.4' in lines
+
+
+def test_the_numbers_of_a_file_are_held_against_each_estimate_once(report, estimate, monkeypatch) -> None:
+    monkeypatch.setattr(watch, "_DIAGNOSED", 0.0)
+    held: list[object] = []
+    made = report.report
+    made._audit = lambda belief: held.append(belief) or []
+    for event in (None, estimate, None, None, replace(estimate, time=2.0), None):
+        made.take(event)
+    assert len(held) == 2
 
 
 def test_blocks_are_as_high_as_the_values() -> None:

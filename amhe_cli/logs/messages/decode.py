@@ -15,7 +15,8 @@ from amhe_cli.logs.containers.raw import Batch, Connection
 from amhe_cli.logs.containers.table_file import ENCODING as TABLE
 from amhe_cli.logs.messages.layout import Layout, Leaf
 from amhe_cli.logs.messages.split import MessageGroup
-from amhe_cli.logs.messages.types import TYPES, TypeInfo
+from amhe_cli.logs.messages.ticks import TickClock
+from amhe_cli.logs.messages.types import TICKS, TYPES, TypeInfo
 
 _Bytes = NDArray[np.uint8]
 #: Layouts whose recipe is kept, and all their fields: where each message has its own, memory must not fill.
@@ -65,7 +66,7 @@ class SignalSamples:
 class _Columns:
     """Places of the wanted numbers in one group of messages: leaves, None where absent."""
 
-    stamp: tuple[Leaf, Leaf] | None
+    stamp: tuple[Leaf, ...] | None
     delay: tuple[Leaf, Leaf] | None
     values: dict[str, list[Leaf | None]]
     unknown: dict[str, Leaf]
@@ -122,7 +123,7 @@ class SignalDecoder:
         self._begin()
         self._recipes: dict[int, tuple[Layout, list[_Columns]]] = {}
         self.count = self._held = 0
-        self._has_header = False
+        self._has_header, self._ticks = False, TickClock()
         self.odd = 0
         self.not_finite: dict[str, int] = dict.fromkeys(self._wanted, 0)
 
@@ -162,6 +163,8 @@ class SignalDecoder:
         What is missing is NaN.
         """
         log_ns, publish_ns, header_ns, delay_ns, order = (parts.whole() for parts in self._stamps.values())
+        if self.type in TICKS and self._has_header:
+            header_ns = self._ticks.stamps(header_ns, np.where(publish_ns > 0, publish_ns, log_ns))
         values = {quantity: parts.whole() for quantity, parts in self._values.items()}
         joined = SignalSamples(
             log_ns, publish_ns, header_ns, delay_ns,
@@ -230,6 +233,8 @@ class SignalDecoder:
             if quantity in self._wanted
         }
         stamp = time_leaves(layout, f"{stamped}header.stamp") or time_leaves(layout, f"{stamped}stamp")
+        tick = layout.leaves.get("tick") if self.type in TICKS else None
+        stamp = (tick,) if tick else stamp
         self._has_header |= stamp is not None
         return _Columns(stamp, time_leaves(layout, f"{prefix}time_from_start"), values, unknown)
 
@@ -328,10 +333,10 @@ def time_leaves(layout: Layout, path: str) -> tuple[Leaf, Leaf] | None:
     return (seconds, nanoseconds) if seconds and nanoseconds else None
 
 
-def nanoseconds(rows: _Bytes, stamp: tuple[Leaf, Leaf]) -> IntArray:
-    """A time of every message [ns], shape (n,)."""
-    seconds, nanoseconds = (leaf.read(rows).astype(np.int64) for leaf in stamp)
-    return seconds * 10**9 + nanoseconds
+def nanoseconds(rows: _Bytes, stamp: tuple[Leaf, ...]) -> IntArray:
+    """A time of every message [ns], shape (n,): of seconds and nanoseconds, or a count of ms."""
+    first, *nanoseconds = (leaf.read(rows).astype(np.int64) for leaf in stamp)
+    return first * 10**9 + nanoseconds[0] if nanoseconds else first * 10**6
 
 
 def _gather(rows: _Bytes, leaves: Sequence[Leaf | None]) -> FloatArray:

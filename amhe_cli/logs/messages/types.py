@@ -12,6 +12,9 @@ _XYZ = ("x", "y", "z")
 #: ROS stores quaternions as x, y, z, w; picking the columns in our order converts them.
 _WXYZ = ("w", "x", "y", "z")
 
+#: Types whose messages have no stamp but a counter of milliseconds, `tick`.
+TICKS = ("unitree_go/msg/LowState", "unitree_hg/msg/LowState")
+
 
 @dataclass(frozen=True, slots=True)
 class TypeInfo:
