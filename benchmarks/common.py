@@ -20,10 +20,10 @@ import mujoco
 import numpy as np
 
 import amhe_cli
-from amhe_cli.core import differentiate, rotations
+from amhe_cli.core import resample, rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Log
-from amhe_cli.core.series import Series
+from amhe_cli.core.signals import Series
 from amhe_cli.matching.starts import tangent_of
 from amhe_cli.system.description.data import Channel
 from amhe_cli.system.system import System
@@ -151,7 +151,7 @@ def _derived(channel: Channel, series: dict[str, Series], stamps: FloatArray) ->
     turning = quantity == "angular_velocity"
     below = series[f"{signal}.orientation" if turning else f"{signal}.position"]
     rows = np.flatnonzero(below.sampled)
-    slope = differentiate.angular_velocity if turning else differentiate.derivative
+    slope = resample.angular_velocity if turning else resample.derivative
     samples = slope(stamps, below.values[rows], 10.0)
     return _between(samples, rows, len(below.values), channel, derived=True)
 

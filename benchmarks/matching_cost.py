@@ -19,7 +19,7 @@ from common import multisine, paired, show, simulated
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Log
 from amhe_cli.core.rotations import exp
-from amhe_cli.core.series import Series
+from amhe_cli.core.signals import Series
 from amhe_cli.engine.cpu import _groups as length_groups
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline.clips import ClipPool, whole

@@ -22,9 +22,9 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 import amhe_cli as amhe
-from amhe_cli.core.samples import sampled
+from amhe_cli.core.log import sampled
 from amhe_cli.logs import LogWriter, read_metadata
-from amhe_cli.logs.messages.signal_writer import write_samples
+from amhe_cli.logs.messages.writer import write_samples
 
 SOURCE = Path(__file__).parents[1] / "examples" / "logs" / "t4.mcap"
 HOUR_NS, NOISE = 3600 * 10**9, 1e-3

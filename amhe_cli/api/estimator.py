@@ -13,7 +13,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief import Belief
 from amhe_cli.core.errors import EstimationError, LogError, one_of
 from amhe_cli.core.from_arrays import check_times, floats, unit_quaternions
-from amhe_cli.core.samples import Samples
+from amhe_cli.core.log import Samples
 from amhe_cli.core.signals import DERIVED
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.engine.open import open_engine

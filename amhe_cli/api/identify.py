@@ -28,7 +28,7 @@ from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.estimation import identification
 from amhe_cli.estimation.core.result import Fit, Identification, Iteration, ParameterResult
 from amhe_cli.estimation.uncertainty.verdicts import DETERMINED
-from amhe_cli.logs.truth import truth_in_metadata
+from amhe_cli.logs.read import truth_in_metadata
 from amhe_cli.system.provenance import hashes, inputs_record, provenance
 from amhe_cli.system.system import System
 

@@ -10,7 +10,7 @@ import click
 from amhe_cli.cli import kinds, options
 from amhe_cli.cli.command import Given, argument, command, option
 from amhe_cli.cli.session import Session
-from amhe_cli.core.text import printable
+from amhe_cli.core.errors import printable
 
 if TYPE_CHECKING:
     from amhe_cli.audit.audit import Audit

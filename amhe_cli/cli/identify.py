@@ -88,7 +88,7 @@ def identify(session: Session, given: Given) -> int | None:
     from amhe_cli.cli.progress import of_search, progress
     from amhe_cli.cli.required import matching, missed_of
     from amhe_cli.logs import members, read_log
-    from amhe_cli.logs.truth import truth_in_metadata
+    from amhe_cli.logs.read import truth_in_metadata
     from amhe_cli.report.check import said_before
     from amhe_cli.report.identification import print_identification
     from amhe_cli.study.executors import executor_of

@@ -12,7 +12,7 @@ from amhe_cli.cli import options
 from amhe_cli.cli.command import Given, argument, command, flag, in_panel, option
 from amhe_cli.cli.kinds import MODEL, Number, pairs
 from amhe_cli.cli.session import Session
-from amhe_cli.core.text import printable
+from amhe_cli.core.errors import printable
 
 if TYPE_CHECKING:
     from amhe_cli.init.signals import Guess

@@ -131,8 +131,7 @@ def run(arguments: Sequence[str]) -> int:
 
 def _failed(session: Session, error: Exception) -> int:
     """Tell the user of an error, and give the exit code that stands for its kind."""
-    from amhe_cli.core.errors import AmheError, ConfigError, LogError
-    from amhe_cli.core.text import printable
+    from amhe_cli.core.errors import AmheError, ConfigError, LogError, printable
 
     if isinstance(error, click.exceptions.NoArgsIsHelpError):
         error.show()

@@ -12,8 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
-from amhe_cli.core.errors import NOTE
-from amhe_cli.core.text import printable
+from amhe_cli.core.errors import NOTE, printable
 
 if TYPE_CHECKING:
     from logging import Handler

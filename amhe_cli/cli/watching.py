@@ -31,7 +31,7 @@ def watching_run(session: Session, run: Run) -> Iterator[Callable[[Cycle, dict[s
     """Show the cycles of a run: its state, the estimated one as a ghost, belief and cost."""
     import numpy as np
 
-    from amhe_cli.core.curves import TimeCurve
+    from amhe_cli.core.shown import TimeCurve
     from amhe_cli.robots.go1.model import layout
     from amhe_cli.robots.go1.state import coordinates
     from amhe_cli.view.live import Happening, StatesShown

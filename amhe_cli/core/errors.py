@@ -1,4 +1,4 @@
-"""Every error a user can cause: one line that says what, where, and what to do."""
+"""Every error a user can cause, as one line: what, where, what to do; texts of files do nothing in it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,17 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
 
-from amhe_cli.core.text import printable
+
+def printable(text: str, keep: str = "") -> str:
+    r"""A text with its invisible characters as escapes: ESC as '\x1b', a line feed as '\n'.
+
+    Args:
+        text: The text.
+        keep: Invisible characters that stay.
+    """
+    odd = {c for c in set(text) if not c.isprintable() and c not in keep}
+    return text.translate({ord(c): c.encode("unicode_escape").decode() for c in odd}) if odd else text
+
 
 #: Level of a log message that users should see although nothing is wrong, between info and warning.
 NOTE = 25

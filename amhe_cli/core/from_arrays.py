@@ -11,13 +11,10 @@ from numpy.typing import ArrayLike
 
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.corrections import corrected
-from amhe_cli.core.differentiate import differentiated
+from amhe_cli.core.corrections import cleaned, corrected
 from amhe_cli.core.errors import LogError, one_of
-from amhe_cli.core.readout import cleaned
-from amhe_cli.core.resample import common_rows, longest_bridge, resample, too_many
-from amhe_cli.core.series import Series
-from amhe_cli.core.signals import DERIVED, Measured, Signal
+from amhe_cli.core.resample import common_rows, differentiated, longest_bridge, resample, too_many
+from amhe_cli.core.signals import DERIVED, Measured, Series, Signal
 
 logger = logging.getLogger(__name__)
 

@@ -1,4 +1,4 @@
-"""What to read from a log, in terms that do not depend on the simulator."""
+"""What to read from a log, in terms that do not depend on the simulator, and the series that are read."""
 
 from __future__ import annotations
 
@@ -11,6 +11,11 @@ from amhe_cli.core.parameters import Described
 
 if TYPE_CHECKING:
     from amhe_cli.core.settings import Settings
+
+
+import numpy as np
+
+from amhe_cli.core.arrays import BoolArray, FloatArray, sealed, sealed_mask
 
 #: Quantities a signal can carry, with the unit of their values once read.
 QUANTITIES: Mapping[str, str] = {
@@ -134,3 +139,48 @@ def remapped(signals: Sequence[Signal], topics: Mapping[str, str]) -> tuple[Sign
         if name not in names:
             raise ConfigError(f"`topics`: {one_of('signal', name, names)}")
     return tuple(replace(signal, topic=topics.get(signal.name, signal.topic)) for signal in signals)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """One quantity of one signal on the log's clock.
+
+    Args:
+        values: SI values, shape (T, k); quaternions are w, x, y, z. Undefined where not valid.
+        valid: False inside gaps and outside the topic's recording, shape (T,).
+        sampled: True on the steps nearest to a real message, shape (T,): only there is a measurement
+            that counts as data; every other valid step is interpolated.
+        columns: Name of each column, length k.
+        derived: The topic carried no such quantity; it was differentiated from one that it did carry,
+            so it is no second measurement.
+    """
+
+    values: FloatArray
+    valid: BoolArray
+    sampled: BoolArray
+    columns: tuple[str, ...]
+    derived: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", sealed(self.values))
+        object.__setattr__(self, "valid", sealed_mask(self.valid))
+        object.__setattr__(self, "sampled", sealed_mask(self.sampled))
+
+
+#: Unit -> factor to SI, in any case of letters.
+FACTORS: Mapping[str, float] = {
+    "deg": np.pi / 180.0, "degree": np.pi / 180.0, "degrees": np.pi / 180.0, "°": np.pi / 180.0,
+    "deg/s": np.pi / 180.0, "deg/sec": np.pi / 180.0, "degrees/s": np.pi / 180.0, "dps": np.pi / 180.0,
+    "°/s": np.pi / 180.0, "rpm": np.pi / 30.0, "mrad": 1e-3, "mm": 1e-3, "cm": 1e-2, "mm/s": 1e-3,
+    "mNm": 1e-3, "Ncm": 1e-2, "mA": 1e-3, "mV": 1e-3, "turn": 2.0 * np.pi,
+    **{f"1/{2**bits} turn": 2.0 * np.pi / 2**bits for bits in range(8, 21)},
+}  # fmt: skip
+
+
+def unwrapped(angles: FloatArray) -> FloatArray:
+    """Angles (n, k) [rad] without jumps of a turn; what is not finite stays so and is passed over."""
+    whole = np.array(angles)
+    for column in whole.T:
+        finite = np.isfinite(column)
+        column[finite] = np.unwrap(column[finite])
+    return whole

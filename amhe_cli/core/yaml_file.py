@@ -15,10 +15,9 @@ import yaml
 from yaml.composer import Composer
 from yaml.error import MarkedYAMLError
 
-from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.errors import ConfigError, printable
 from amhe_cli.core.files import check_regular
 from amhe_cli.core.limits import beyond, limits
-from amhe_cli.core.text import printable
 
 #: Keys and list indices from the top of a file to one of its values.
 Place = tuple[str | int, ...]

@@ -13,8 +13,8 @@ import numpy as np
 import yaml
 
 from amhe_cli.core import rotations
+from amhe_cli.core.corrections import resolution
 from amhe_cli.core.errors import AmheError, ConfigError
-from amhe_cli.core.readout import resolution
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.yaml_file import merged
 from amhe_cli.init.actuators import actuator_parameters, floating, ungrouped

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from amhe_cli.core.text import printable
+from amhe_cli.core.errors import printable
 from amhe_cli.core.yaml_file import flow
 from amhe_cli.init.signals import Guess
 

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 from amhe_cli.control.controller import LEAST, Controller, Plan, remembered
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.samples import Samples
+from amhe_cli.core.log import Samples
 from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.estimation.online.tracker import Tracker
 from amhe_cli.estimation.online.workers import News

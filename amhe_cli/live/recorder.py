@@ -15,15 +15,14 @@ from typing import Protocol
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.curves import TimeCurve
-from amhe_cli.core.samples import Samples
+from amhe_cli.core.log import Samples
+from amhe_cli.core.shown import TimeCurve
 from amhe_cli.core.signals import Signal
 from amhe_cli.estimation.online import messages as estimates
 from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.live.episode import Cycle
 from amhe_cli.logs import Fields, LogWriter, read_topic
-from amhe_cli.logs.messages.signal_writer import message_type, write_samples
-from amhe_cli.logs.messages.writer import OK, WARN
+from amhe_cli.logs.messages.writer import OK, WARN, message_type, write_samples
 
 PLAN, TIMING = "amhe_msgs/msg/Plan", "amhe_msgs/msg/Timing"
 #: Topics whose content does not depend on the seed alone.

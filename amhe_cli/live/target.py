@@ -9,7 +9,7 @@ import numpy as np
 
 from amhe_cli.control.controller import Plan
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.samples import Samples, merged
+from amhe_cli.core.log import Samples, merged
 
 
 class Target(Protocol):

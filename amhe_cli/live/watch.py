@@ -13,8 +13,7 @@ import numpy as np
 
 from amhe_cli.core.belief import Belief
 from amhe_cli.core.errors import AmheError, ConfigError, EstimationError, one_of
-from amhe_cli.core.log import Window
-from amhe_cli.core.samples import Samples
+from amhe_cli.core.log import Samples, Window
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.explain.first_look import first_look

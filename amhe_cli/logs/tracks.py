@@ -11,20 +11,17 @@ import numpy as np
 
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.corrections import cleaned
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.from_arrays import on_grid
-from amhe_cli.core.readout import cleaned
 from amhe_cli.core.resample import common_rows, too_many
-from amhe_cli.core.series import Series
 from amhe_cli.core.settings import LogSettings
-from amhe_cli.core.signals import DERIVED, Signal
-from amhe_cli.core.units import unwrapped
+from amhe_cli.core.signals import DERIVED, Series, Signal, unwrapped
 from amhe_cli.logs.clocks import Timeline, on_one_clock
-from amhe_cli.logs.collect import collect
+from amhe_cli.logs.collect import collect, twist_looks_global
 from amhe_cli.logs.containers.folder import StoredLog
 from amhe_cli.logs.messages.decode import SignalSamples
 from amhe_cli.logs.messages.definitions import Definitions
-from amhe_cli.logs.physics import twist_looks_global
 from amhe_cli.logs.tables import signals_on_tables
 
 logger = logging.getLogger(__name__)

@@ -16,7 +16,7 @@ from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.errors import LogError
 from amhe_cli.core.log import Log
-from amhe_cli.core.series import Series
+from amhe_cli.core.signals import Series
 from amhe_cli.core.spectrum import Smooth, smooth
 from amhe_cli.engine.states import home
 from amhe_cli.matching.starts import tangent_of

@@ -14,7 +14,7 @@ from amhe_cli.core import rotations
 from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
 from amhe_cli.core.errors import LogError
 from amhe_cli.core.log import Log, Window
-from amhe_cli.core.series import Series
+from amhe_cli.core.signals import Series
 from amhe_cli.core.statistics import white_noise_sd
 from amhe_cli.system.description.data import Channel
 from amhe_cli.system.model.couplings import set_followers

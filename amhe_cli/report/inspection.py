@@ -9,9 +9,9 @@ from rich.console import Console
 from rich.padding import Padding
 from rich.text import Text
 
+from amhe_cli.core.errors import printable
 from amhe_cli.core.files import plain
 from amhe_cli.core.signals import Signal
-from amhe_cli.core.text import printable
 from amhe_cli.logs import Inspection, Survey, TopicSurvey
 from amhe_cli.report import numbers
 

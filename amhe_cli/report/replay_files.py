@@ -24,8 +24,7 @@ from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.estimation.online.predictions import Prediction
 from amhe_cli.estimation.online.replay import Replay
 from amhe_cli.logs import LogWriter
-from amhe_cli.logs.messages.signal_writer import write_samples
-from amhe_cli.logs.messages.writer import ERROR, OK, WARN
+from amhe_cli.logs.messages.writer import ERROR, OK, WARN, write_samples
 from amhe_cli.report.identification_page import MAX_COMBINATIONS
 from amhe_cli.system.provenance import attachments
 

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.files import json_text
-from amhe_cli.core.floor import Floor
+from amhe_cli.core.shown import Floor
 from amhe_cli.report import numbers, run_figures
 from amhe_cli.report.folder import write_page
 from amhe_cli.report.page import Section, Statement, Tone, print_statements, result_page

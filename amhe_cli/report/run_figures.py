@@ -9,7 +9,7 @@ import numpy as np
 from markupsafe import Markup
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.floor import Floor, outline
+from amhe_cli.core.shown import Floor, outline
 from amhe_cli.report import numbers
 from amhe_cli.web.plots import Curve, Mark, Panel, figure
 

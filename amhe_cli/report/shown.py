@@ -11,14 +11,13 @@ import numpy as np
 from markupsafe import Markup
 
 from amhe_cli.core.belief import Belief
+from amhe_cli.core.errors import printable
 from amhe_cli.core.log import Log
-from amhe_cli.core.series import Series
 from amhe_cli.core.shown import Displayed, SavedView
-from amhe_cli.core.signals import QUANTITIES
+from amhe_cli.core.signals import QUANTITIES, Series
 from amhe_cli.core.statistics import Z90, correlation
-from amhe_cli.core.text import printable
 from amhe_cli.estimation.core.result import Identification
-from amhe_cli.logs.truth import truth_in_metadata
+from amhe_cli.logs.read import truth_in_metadata
 from amhe_cli.report import numbers
 from amhe_cli.report.identification import parameter_table
 from amhe_cli.report.identification_page import headline, statements

@@ -12,7 +12,7 @@ from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 from rich.text import Text
 
-from amhe_cli.core.text import printable
+from amhe_cli.core.errors import printable
 
 #: Look of a column of numbers.
 NUMBER = "number"

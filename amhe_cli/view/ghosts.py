@@ -12,9 +12,9 @@ import numpy as np
 
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray, IntArray
-from amhe_cli.core.curves import TimeCurve
 from amhe_cli.core.each_log import values_on
 from amhe_cli.core.log import Log, Window
+from amhe_cli.core.shown import TimeCurve
 from amhe_cli.engine.rollout import Engine, Starts
 from amhe_cli.engine.states import collides, home
 from amhe_cli.estimation.offline.clips import ClipPool

@@ -22,8 +22,8 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.curves import TimeCurve
 from amhe_cli.core.files import plain
+from amhe_cli.core.shown import TimeCurve
 from amhe_cli.view.page import Heading, live_page
 from amhe_cli.view.scene import Scene
 from amhe_cli.view.server import PageServer

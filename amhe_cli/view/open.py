@@ -11,9 +11,9 @@ from markupsafe import Markup
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief import Belief, completed
-from amhe_cli.core.curves import TimeCurve
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.log import Log, Window
+from amhe_cli.core.shown import TimeCurve
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline.clips import clip_name, split_held_out, whole
 from amhe_cli.system.system import System

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.curves import TimeCurve
+from amhe_cli.core.errors import printable
 from amhe_cli.core.parameters import ParameterSpace
-from amhe_cli.core.text import printable
+from amhe_cli.core.shown import TimeCurve
 from amhe_cli.view.ghosts import Plotted, Recording, Take, Track, Viewing
 from amhe_cli.view.scene import Scene
 from amhe_cli.web import page as web

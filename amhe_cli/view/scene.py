@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.engine.contacts import contact_forces
+from amhe_cli.engine.states import contact_forces
 from amhe_cli.system.model.couplings import couplings
 from amhe_cli.system.system import System
 from amhe_cli.view.shapes import Shape, boxed, shape_of

@@ -11,7 +11,7 @@ import numpy as np
 from markupsafe import Markup
 
 from amhe_cli.core.arrays import FloatArray, IntArray
-from amhe_cli.core.text import printable
+from amhe_cli.core.errors import printable
 from amhe_cli.web.page import data
 
 #: Points of one line: a clip has thousands, but a panel is only hundreds of pixels wide.

@@ -25,8 +25,8 @@ from amhe_cli.cli.inputs import Inputs
 from amhe_cli.cli.main import run
 from amhe_cli.cli.mhe_replay import mhe_replay
 from amhe_cli.cli.viewed import viewed
-from amhe_cli.core.text import script_digest
 from amhe_cli.view.server import LOOPBACK, PageServer
+from amhe_cli.web.page import script_digest
 from tests.conftest import MODELS
 
 

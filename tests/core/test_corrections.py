@@ -6,8 +6,7 @@ import numpy as np
 
 from amhe_cli.core import rotations
 from amhe_cli.core.corrections import corrected
-from amhe_cli.core.series import Series
-from amhe_cli.core.signals import Signal
+from amhe_cli.core.signals import Series, Signal
 
 DT = 0.01
 

@@ -6,8 +6,8 @@ import tracemalloc
 
 import numpy as np
 
-from amhe_cli.core import differentiate
-from amhe_cli.core.differentiate import derivative
+from amhe_cli.core import resample
+from amhe_cli.core.resample import derivative
 
 
 def test_long_logs_are_differentiated_in_parts_to_the_same_numbers(monkeypatch) -> None:
@@ -24,7 +24,7 @@ def test_long_logs_are_differentiated_in_parts_to_the_same_numbers(monkeypatch) 
         return slopes, peak
 
     whole, peak = found()
-    monkeypatch.setattr(differentiate, "_ROWS", 300)
+    monkeypatch.setattr(resample, "_ROWS", 300)
     parts, less = found()
     np.testing.assert_array_equal(parts, whole)
     assert less < 0.6 * peak

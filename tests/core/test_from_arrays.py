@@ -10,8 +10,7 @@ import pytest
 
 from amhe_cli.core.bundled import bundled_root
 from amhe_cli.core.errors import LogError
-from amhe_cli.core.log import Log
-from amhe_cli.core.samples import sampled
+from amhe_cli.core.log import Log, sampled
 from amhe_cli.logs import read_log
 from amhe_cli.system.system import System
 

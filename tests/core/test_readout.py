@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import amhe_cli as amhe
 from amhe_cli.cli.main import run
-from amhe_cli.core.readout import resolution, spikes, updates
+from amhe_cli.core.corrections import resolution, spikes, updates
 
 ROOT = Path(__file__).parents[2]
 TOSSES = ROOT.parent / "shared" / "data" / "cube_tosses"

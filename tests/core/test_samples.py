@@ -6,9 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from amhe_cli.core.log import Log
-from amhe_cli.core.samples import Samples, Thinner, merged, sampled, since
-from amhe_cli.core.series import Series
+from amhe_cli.core.log import Log, Samples, Thinner, merged, sampled, since
+from amhe_cli.core.signals import Series
 
 
 def series(*times: float) -> tuple[np.ndarray, np.ndarray]:

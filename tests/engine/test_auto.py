@@ -12,10 +12,9 @@ import pytest
 
 from amhe_cli.core.errors import NOTE, SimulationError
 from amhe_cli.engine import open as opening
-from amhe_cli.engine.auto import START, AutoEngine
+from amhe_cli.engine.auto import FEWEST, START, TABLE, AutoEngine, StepCost, step_cost
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.open import open_engine
-from amhe_cli.engine.step_cost import FEWEST, TABLE, StepCost, step_cost
 from tests.engine.test_contract import CUBE, PENDULUM, clips, some
 
 

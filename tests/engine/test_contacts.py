@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from amhe_cli.engine.contacts import contact_forces
+from amhe_cli.engine.states import contact_forces
 
 WORLD = """<mujoco><option timestep="0.002"/><worldbody>
   <body name="upper" pos="0 0 0.5"><freejoint/><geom type="sphere" size="0.1" mass="1"/></body>

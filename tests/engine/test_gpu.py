@@ -15,6 +15,7 @@ import amhe_cli as amhe
 from amhe_cli.cli.main import run
 from amhe_cli.core.arrays import to_host
 from amhe_cli.core.errors import SimulationError
+from amhe_cli.engine.auto import FEWEST, StepCost
 from amhe_cli.engine.gpu import card
 from amhe_cli.engine.gpu import engine as gpu
 from amhe_cli.engine.gpu.blueprint import Room
@@ -23,7 +24,6 @@ from amhe_cli.engine.gpu.engine import GpuEngine
 from amhe_cli.engine.gpu.worlds import Worlds
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Starts, Wanted
-from amhe_cli.engine.step_cost import FEWEST, StepCost
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.problem import Problem

@@ -8,7 +8,7 @@ import pytest
 
 from amhe_cli.core.errors import ConfigError, EstimationError
 from amhe_cli.core.log import Log
-from amhe_cli.core.series import Series
+from amhe_cli.core.signals import Series
 from amhe_cli.estimation.conclude import PARTS
 from amhe_cli.estimation.identification import IdentifyOptions, identify
 from amhe_cli.estimation.offline.checkpoint import _sum

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from amhe_cli.core.samples import merged
+from amhe_cli.core.log import merged
 from amhe_cli.live.recorder import WALL_CLOCK, Recorder
 from amhe_cli.logs import inspect_log, read_log, read_metadata, survey
 from amhe_cli.robots.go1.kinematics import JOINTS

@@ -10,7 +10,7 @@ import pytest
 
 from amhe_cli.control.controller import Plan
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.samples import Samples
+from amhe_cli.core.log import Samples
 from amhe_cli.live.target import SimTarget
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.model import plant_model

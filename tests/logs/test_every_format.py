@@ -14,8 +14,7 @@ import pytest
 from mcap.writer import Writer
 
 import amhe_cli as amhe
-from amhe_cli.core.log import Log
-from amhe_cli.core.samples import sampled
+from amhe_cli.core.log import Log, sampled
 from amhe_cli.logs import read_log
 from tests.logs.log_makers import JS, ROS1, ROS2, Message, joint_state, write_bag, write_mcap, write_rosbag2
 from tests.logs.test_protobuf import CLASS, SET

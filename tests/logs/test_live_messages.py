@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from amhe_cli.core.samples import Samples
+from amhe_cli.core.log import Samples
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs.containers.raw import Batch, Connection, batch_of

@@ -12,9 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from amhe_cli.core import rotations
-from amhe_cli.core.differentiate import angular_velocity, derivative
 from amhe_cli.core.errors import ConfigError, LogError
-from amhe_cli.core.resample import resample
+from amhe_cli.core.resample import angular_velocity, derivative, resample
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs import LogWriter, read_signals, survey

@@ -20,7 +20,7 @@ from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.limits import limit
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs import LogWriter, read_metadata, read_signals, survey
-from amhe_cli.logs.containers import compression, mcap_file
+from amhe_cli.logs.containers import mcap_file, raw
 from tests.logs.log_makers import (
     DT,
     JOINTS,
@@ -224,12 +224,12 @@ def test_bombs_do_not_unfold(tmp_path: Path) -> None:
     bomb = zstandard.compress(bytes(2**26))
     assert len(bomb) < 2**14
     with pytest.raises(ValueError, match="bytes"):
-        compression.Unfolder(0).unfold("zstd", bomb, 1000)
+        raw.Unfolder(0).unfold("zstd", bomb, 1000)
     with pytest.raises(ValueError, match="beyond the limit piece_mib = 256"):
-        compression.Unfolder(0).unfold("zstd", bomb, 2**40)
+        raw.Unfolder(0).unfold("zstd", bomb, 2**40)
     with limit(piece_mib=1, growth=10):
         with pytest.raises(ValueError, match="at most 1048576"):
-            compression.Unfolder(0).unfold("zstd", bomb)
+            raw.Unfolder(0).unfold("zstd", bomb)
         packed = tmp_path / "a.db3.zstd"
         packed.write_bytes(zstandard.compress(bytes(2**26)))
         with pytest.raises(LogError, match="beyond the limit growth = 10"):

@@ -15,8 +15,8 @@ from mcap.writer import Writer
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs import read_signals
+from amhe_cli.logs.collect import twist_looks_global
 from amhe_cli.logs.messages.decode import SignalSamples
-from amhe_cli.logs.physics import twist_looks_global
 from tests.logs.log_makers import (
     ARRAY,
     DT,

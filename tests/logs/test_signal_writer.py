@@ -8,10 +8,10 @@ import pytest
 from mcap.reader import make_reader
 
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.core.samples import Samples, sampled
+from amhe_cli.core.log import Samples, sampled
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs import LogWriter, read_signals, survey
-from amhe_cli.logs.messages.signal_writer import message_type, write_samples
+from amhe_cli.logs.messages.writer import message_type, write_samples
 from tests.logs.log_makers import DT, SETTINGS
 
 JOINTS = Signal("joints", "/joints", ("position", "velocity"), names=("hip", "knee"))

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.log import Log, Window
-from amhe_cli.core.series import Series
 from amhe_cli.core.settings import CostSettings
+from amhe_cli.core.signals import Series
 from amhe_cli.engine.open import open_engine
 from amhe_cli.matching.cost import MatchingCost, quadratic_prior
 from amhe_cli.system.system import System

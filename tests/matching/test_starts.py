@@ -10,7 +10,7 @@ import pytest
 
 from amhe_cli.core import rotations
 from amhe_cli.core.log import Log, Window
-from amhe_cli.core.series import Series
+from amhe_cli.core.signals import Series
 from amhe_cli.matching.starts import first_states
 from amhe_cli.matching.windows import prepare
 from amhe_cli.system.description.data import Channel

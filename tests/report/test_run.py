@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from amhe_cli.core.floor import Floor
+from amhe_cli.core.shown import Floor
 from amhe_cli.report.run import TaskFacts, measure_table, print_run, run_page, statements, verdict
 from tests.web.figures import panels
 

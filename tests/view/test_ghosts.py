@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import amhe_cli as amhe
-from amhe_cli.core.curves import TimeCurve
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.rotations import exp
+from amhe_cli.core.shown import TimeCurve
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline.clips import whole
 from amhe_cli.view.ghosts import Viewing, continued, viewing

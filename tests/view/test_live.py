@@ -16,8 +16,8 @@ import pytest
 
 import amhe_cli as amhe
 from amhe_cli.cli.main import run
-from amhe_cli.core.curves import TimeCurve
 from amhe_cli.core.log import Window
+from amhe_cli.core.shown import TimeCurve
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import MovingHorizon
 from amhe_cli.view.live import Broadcast, Happening, StatesShown

@@ -10,10 +10,10 @@ from functools import cache
 import warp as wp
 
 from amhe_cli.core.errors import SimulationError
+from amhe_cli.engine.auto import FEWEST
 from amhe_cli.engine.gpu.blueprint import Blueprint, Room, bytes_per_world, first_room
 from amhe_cli.engine.gpu.worlds import Job, Worlds
 from amhe_cli.engine.rollout import Predicted
-from amhe_cli.engine.step_cost import FEWEST
 
 logger = logging.getLogger(__name__)
 

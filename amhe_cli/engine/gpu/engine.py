@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from amhe_cli.core.arrays import AnyArray, FloatArray, IntArray, to_host
+from amhe_cli.engine.auto import StepCost, step_cost
 from amhe_cli.engine.gpu.blueprint import Blueprint, check_supported
 from amhe_cli.engine.gpu.card import Card, NoRoomError, refusals
 from amhe_cli.engine.gpu.worlds import Job
@@ -23,7 +24,6 @@ from amhe_cli.engine.rollout import (
     predicted_in_parts,
     turns_of,
 )
-from amhe_cli.engine.step_cost import StepCost, step_cost
 from amhe_cli.system.parameters.model_edits import ModelEdits
 
 #: A card gets at least so many rollouts of a call that several cards share.

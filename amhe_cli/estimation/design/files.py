@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.samples import Samples
+from amhe_cli.core.log import Samples
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs import LogWriter
-from amhe_cli.logs.containers.table_writer import Columns, joined, write_csv
-from amhe_cli.logs.messages.signal_writer import write_samples
+from amhe_cli.logs.convert import Columns, joined, write_csv
+from amhe_cli.logs.messages.writer import write_samples
 
 #: Topic of the commands of a system whose logs are tables.
 _COMMANDS = "/joint_commands"

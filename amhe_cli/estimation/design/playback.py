@@ -9,7 +9,7 @@ import numpy as np
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.log import Log
-from amhe_cli.core.series import Series
+from amhe_cli.core.signals import Series
 from amhe_cli.engine.bounds import Bounds, Broken, joint_at_limit
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.engine.states import home

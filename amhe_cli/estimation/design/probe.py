@@ -20,8 +20,7 @@ from amhe_cli import __version__
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief import Belief
 from amhe_cli.core.errors import AmheError, ConfigError, Ending, EstimationError, SimulationError
-from amhe_cli.core.log import Log
-from amhe_cli.core.samples import sampled
+from amhe_cli.core.log import Log, sampled
 from amhe_cli.core.settings import Settings
 from amhe_cli.engine.bounds import Bounds, Broken, home_within
 from amhe_cli.engine.open import open_engine
@@ -36,7 +35,7 @@ from amhe_cli.estimation.design.information import (
 from amhe_cli.estimation.design.playback import Playback
 from amhe_cli.estimation.design.recipes import Recipe, driven_controls, leeway_of, plain, recipes
 from amhe_cli.logs import read_log
-from amhe_cli.logs.messages.signal_writer import message_type
+from amhe_cli.logs.messages.writer import message_type
 from amhe_cli.system.model.elements import driven_joint
 from amhe_cli.system.model.files import compiled
 from amhe_cli.system.parameters.model_edits import ModelEdits

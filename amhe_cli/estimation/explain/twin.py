@@ -10,7 +10,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.each_log import values_on
 from amhe_cli.core.log import Log, Window
-from amhe_cli.core.series import Series
+from amhe_cli.core.signals import Series
 from amhe_cli.core.statistics import white_noise_sd
 from amhe_cli.engine.inverse import forces_along
 from amhe_cli.engine.open import open_engine

@@ -8,12 +8,9 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.corrections import corrected
-from amhe_cli.core.differentiate import differentiated
-from amhe_cli.core.log import Log, Window
-from amhe_cli.core.resample import longest_bridge, resample
-from amhe_cli.core.samples import Samples
-from amhe_cli.core.series import Series
-from amhe_cli.core.signals import DERIVED, Signal
+from amhe_cli.core.log import Log, Samples, Window
+from amhe_cli.core.resample import differentiated, longest_bridge, resample
+from amhe_cli.core.signals import DERIVED, Series, Signal
 
 #: Time before a window's start [s] that is on its grid, since first states are smoothed.
 BEFORE = 0.2

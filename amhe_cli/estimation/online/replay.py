@@ -20,7 +20,7 @@ from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.online.horizon import LEAST, Estimate, MovingHorizon, check_window
 from amhe_cli.estimation.online.prior import Gaussian, prior_of
-from amhe_cli.logs.truth import read_truth, truth_in_metadata
+from amhe_cli.logs.read import read_truth, truth_in_metadata
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from amhe_cli.core.samples import Samples
+from amhe_cli.core.log import Samples
 from amhe_cli.estimation.online.buffer import BEFORE, Buffer
 from amhe_cli.estimation.online.workers import News, Trouble, Worker
 from amhe_cli.system.system import System

@@ -15,8 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from amhe_cli.logs.containers.compression import Unfolder
-from amhe_cli.logs.containers.raw import Batch, Connection, messages, normal_type, stamps
+from amhe_cli.logs.containers.raw import Batch, Connection, Unfolder, messages, normal_type, stamps
 
 MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _HEADER, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7

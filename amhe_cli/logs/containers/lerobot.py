@@ -19,9 +19,8 @@ from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.files import check_regular
 from amhe_cli.core.limits import beyond, limits
-from amhe_cli.logs.containers.arrow_file import parquet_arrays
 from amhe_cli.logs.containers.table_file import TableFile
-from amhe_cli.logs.containers.table_formats import in_memory, needed
+from amhe_cli.logs.containers.table_formats import in_memory, needed, parquet_arrays
 
 #: Features that count frames.
 _COUNTERS = {"index", "frame_index", "episode_index", "task_index"}

@@ -17,7 +17,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import LogError
-from amhe_cli.core.units import FACTORS
+from amhe_cli.core.signals import FACTORS
 from amhe_cli.logs.containers.raw import Batch, Connection
 
 #: Type and encoding of a table's connection.

@@ -11,10 +11,8 @@ from mcap.opcode import Opcode
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.files import check_regular
 from amhe_cli.core.limits import beyond, limits
-from amhe_cli.logs.containers.compression import Unfolder
-from amhe_cli.logs.containers.mcap_file import McapMessages
-from amhe_cli.logs.containers.mcap_index import MAGIC, PARSE_ERRORS, RECORD, Piece, unfolded
-from amhe_cli.logs.containers.raw import Batch
+from amhe_cli.logs.containers.mcap_file import MAGIC, PARSE_ERRORS, RECORD, McapMessages, Piece, unfolded
+from amhe_cli.logs.containers.raw import Batch, Unfolder
 from amhe_cli.logs.live.transport import Transport
 
 #: Bytes that are read at one look, so that a long file does not hold up all else; a chunk may be longer.

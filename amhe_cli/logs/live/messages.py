@@ -15,18 +15,17 @@ import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
 from amhe_cli.core.errors import ConfigError, LogError
+from amhe_cli.core.log import Samples, merged
 from amhe_cli.core.resample import longest_bridge
-from amhe_cli.core.samples import Samples, merged
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs.clocks import Timeline
-from amhe_cli.logs.collect import missing
+from amhe_cli.logs.collect import checked, missing
 from amhe_cli.logs.containers.raw import Batch, Connection
 from amhe_cli.logs.live.transport import STEP, Transport
 from amhe_cli.logs.messages.decode import SignalDecoder, SignalSamples
 from amhe_cli.logs.messages.definitions import Definitions
 from amhe_cli.logs.messages.split import Splitter
-from amhe_cli.logs.physics import checked
 from amhe_cli.logs.tracks import SignalTrack
 
 #: Topic of the simulated time.

@@ -27,6 +27,10 @@ KEPT = {"name", "mark", "joint_names", "frame_id", "child_frame_id"}
 
 #: Fields of a message: in any case, for each of its bytes, and at most; and how deep they may nest.
 _FEW_FIELDS, _FIELDS_A_BYTE, _MOST_FIELDS, _DEEPEST = 1000, 2, 1_000_000, 50
+#: Messages that a library parses nest no deeper.
+DEEPEST = 30
+#: Such a message holds no more numbers and messages in it.
+MOST_VALUES = 100_000
 #: Bytes of a name.
 LONGEST_NAME = 10_000
 

@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.floor import Floor, outline
+from amhe_cli.core.shown import Floor, outline
 from amhe_cli.report.page import Section
 from amhe_cli.report.study.style import IDENTIFIED, INITIAL, INK, MUTED, Grid, styled, svg
 from amhe_cli.report.study.tables import words_of

@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from amhe_cli.core.errors import printable
 from amhe_cli.core.files import plain
-from amhe_cli.core.text import printable
 from amhe_cli.report.tables import NUMBER, Table
 
 #: Characters with a special meaning in LaTeX, and how they are written.

@@ -14,7 +14,7 @@ from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from amhe_cli.core.text import printable
+from amhe_cli.core.errors import printable
 
 logging.getLogger("matplotlib").setLevel(logging.ERROR)  # its notes on its font cache are of no use to users
 

@@ -18,8 +18,8 @@ import numpy as np
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError, SimulationError
-from amhe_cli.core.samples import Samples
-from amhe_cli.engine.contacts import contact_forces
+from amhe_cli.core.log import Samples
+from amhe_cli.engine.states import contact_forces
 from amhe_cli.robots.go1.kinematics import LEGS
 from amhe_cli.robots.go1.model import FLOOR_PAIR, Box, Change, home, layout, plant_model
 from amhe_cli.robots.go1.state import GRAVITY, SensorNoise, State, state_of

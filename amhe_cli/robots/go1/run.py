@@ -21,8 +21,8 @@ from amhe_cli.control.protocols import Behaviour
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief import Belief, belief_for, belief_of, completed
 from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.log import Samples, Thinner, since
 from amhe_cli.core.rotations import exp, multiply
-from amhe_cli.core.samples import Samples, Thinner, since
 from amhe_cli.core.yaml_file import merged
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import MovingHorizon, check_window

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
-from amhe_cli.core.samples import Samples
+from amhe_cli.core.log import Samples
 from amhe_cli.robots.go1 import kinematics as legs
 from amhe_cli.robots.go1.kalman import Turn, ValueFilter
 from amhe_cli.robots.go1.state import Body, SensorNoise, State

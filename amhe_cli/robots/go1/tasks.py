@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from amhe_cli.core.errors import ConfigError, one_of
-from amhe_cli.core.floor import Floor
+from amhe_cli.core.shown import Floor
 from amhe_cli.robots.go1.behaviours.gait import Gait, standing
 from amhe_cli.robots.go1.behaviours.objective import Course
 from amhe_cli.robots.go1.behaviours.sweeping import Sweeping, Tripod

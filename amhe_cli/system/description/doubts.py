@@ -14,7 +14,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.log import Log
-from amhe_cli.core.series import Series
+from amhe_cli.core.signals import Series
 from amhe_cli.system.description.data import Input, SystemData
 from amhe_cli.system.model.elements import commanded
 from amhe_cli.system.model.gaps import gaps

@@ -11,8 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 from amhe_cli.core.errors import one_of
 from amhe_cli.core.mistakes import mistakes
 from amhe_cli.core.settings import Settings
-from amhe_cli.core.signals import QUANTITIES
-from amhe_cli.core.units import FACTORS
+from amhe_cli.core.signals import FACTORS, QUANTITIES
 from amhe_cli.core.yaml_file import Place
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.log import Log
-from amhe_cli.core.series import Series
+from amhe_cli.core.signals import Series
 from amhe_cli.system.system import System
 
 DT, NOISE = 0.005, 1e-3

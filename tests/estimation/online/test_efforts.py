@@ -6,8 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from amhe_cli.core.log import Log
-from amhe_cli.core.samples import sampled
+from amhe_cli.core.log import Log, sampled
 from amhe_cli.engine.inverse import forces_along
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon

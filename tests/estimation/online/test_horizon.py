@@ -10,7 +10,7 @@ import pytest
 from amhe_cli.core.belief import belief_of
 from amhe_cli.core.errors import ConfigError, EstimationError
 from amhe_cli.core.log import Log, Window
-from amhe_cli.core.series import Series
+from amhe_cli.core.signals import Series
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import Estimate, JumpTest, MovingHorizon, Pace
 from amhe_cli.estimation.online.prior import Gaussian, prior_of

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from amhe_cli.core.log import Log, Window
-from amhe_cli.core.samples import Samples, sampled
+from amhe_cli.core.log import Log, Samples, Window, sampled
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon, usable
 from amhe_cli.estimation.online.tracker import Tracker

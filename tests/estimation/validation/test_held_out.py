@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.log import Log
-from amhe_cli.core.series import Series
+from amhe_cli.core.signals import Series
 from amhe_cli.estimation.core.result import Identification
 from amhe_cli.estimation.identification import IdentifyOptions, identify
 from amhe_cli.estimation.offline.scored import Scored

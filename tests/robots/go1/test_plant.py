@@ -11,7 +11,7 @@ import pytest
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import SimulationError
-from amhe_cli.core.samples import Samples, merged
+from amhe_cli.core.log import Samples, merged
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.model import Box, Change, home, layout, plant_model
 from amhe_cli.robots.go1.plant import Plant

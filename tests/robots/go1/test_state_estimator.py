@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import BoolArray, FloatArray
-from amhe_cli.core.samples import Samples
+from amhe_cli.core.log import Samples
 from amhe_cli.robots.go1 import kinematics as legs
 from amhe_cli.robots.go1.behaviours.gait import Gait, contacts, walk
 from amhe_cli.robots.go1.kalman import Turn, ValueFilter

@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, sealed
+from amhe_cli.core.log import Samples
 from amhe_cli.core.rotations import exp, multiply, normalised, rotate, yaw_of
-from amhe_cli.core.samples import Samples
 from amhe_cli.robots.go1.emulator.ports import Faults, Motive, RobotPort, bound
 from amhe_cli.robots.go1.kinematics import JOINTS, LEGS
 from amhe_cli.robots.go1.link.packets import SERVO, VELOCITY_OFF, CrcForm, MotorCommand, RobotState

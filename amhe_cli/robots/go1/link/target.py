@@ -19,7 +19,7 @@ from amhe_cli.control.controller import Plan
 from amhe_cli.control.mpopi import MpopiStep
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import AmheError
-from amhe_cli.core.samples import Samples
+from amhe_cli.core.log import Samples
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.mail import SAMPLE, Followed, Phase, SenderReport, StoppedError, Targets

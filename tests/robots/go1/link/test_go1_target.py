@@ -16,8 +16,8 @@ import pytest
 from amhe_cli.control.controller import Plan
 from amhe_cli.control.mpopi import MpopiStep
 from amhe_cli.core.errors import OperatorStopError
+from amhe_cli.core.log import Samples, merged
 from amhe_cli.core.rotations import exp
-from amhe_cli.core.samples import Samples, merged
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.mail import Followed, SenderReport, StoppedError
