@@ -197,7 +197,7 @@ def trial(seed: int, noise: float) -> dict[str, Any]:
     return {
         "over": ((system.space.z_of(found) - z) / bound(system, z, moved)).tolist(),
         "inside": [bool(p.interval[0] <= t <= p.interval[1]) for p, t in zip(parameters, truth, strict=True)],
-        "seconds": spent,
+        "spent": spent,
         "plain": seconds,
         "pull": [pull(torques(system, found, new), true), pull(predicted, true)],
         "rms": [
@@ -290,7 +290,7 @@ def main() -> None:
         some = over_seeds(f"effort-{noise:g}", one, range(seeds), options.processes)
         over, inside = (np.array([each[key] for each in some], dtype=float) for key in ("over", "inside"))
         spent, plainly, pulls, rms = (
-            np.mean([each[key] for each in some], axis=0) for key in ("seconds", "plain", "pull", "rms")
+            np.mean([each[key] for each in some], axis=0) for key in ("spent", "plain", "pull", "rms")
         )
         rows += [
             (f"noise of positions [mrad]: {1e3 * noise:g}", "", "", ""),

@@ -23,6 +23,8 @@ from amhe_cli.system.parameters.servos import with_servos
 _INERTIA = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
 #: Numbers of a joint that efforts are linear in.
 _JOINT = ("dof_armature", "dof_damping", "dof_dampingpoly", "jnt_stiffness", "dof_frictionloss")
+#: All that efforts are linear in.
+LINEAR = frozenset((*_INERTIA, *_JOINT))
 #: Fields that no effort depends on, by their beginning; those of actuators matter only where inputs act.
 _IDLE = ("geom_", "pair_", "tendon_range", "jnt_range", "jnt_actfrc", "dof_sol", "jnt_sol", "numeric_")
 #: Step of finite differences.
@@ -226,10 +228,14 @@ class InverseEngine:
 
     def _efforts(self, theta: FloatArray, along: Along) -> FloatArray:
         """Efforts (p, c, s, nv) with dry friction that does not grow."""
-        shaped = self._reshaped(theta, along)
+        fields = self._edits.written(theta)
+        shaped = self._reshaped(fields, len(theta), along)
         efforts = np.empty((len(theta), *along.qvel.shape))
-        if not shaped.all():
-            efforts[~shaped] = self._linear(theta[~shaped], along)
+        if not shaped.any():
+            efforts = self._linear(fields, len(theta), along)
+        elif not shaped.all():
+            own = {name: values[~shaped] for name, values in fields.items()}
+            efforts[~shaped] = self._linear(own, int((~shaped).sum()), along)
         for row in np.flatnonzero(shaped):
             model = self._edits.apply(self._model, theta[row])
             efforts[row] = self._along(model, along) + model.dof_frictionloss * along.dry
@@ -266,24 +272,24 @@ class InverseEngine:
         """See `Engine.upon`."""
         return InverseEngine(model, edits or self._edits.upon(model), self._input_spec)
 
-    def _reshaped(self, theta: FloatArray, along: Along) -> BoolArray:
+    def _reshaped(self, fields: Mapping[str, FloatArray], count: int, along: Along) -> BoolArray:
         """Candidates that move what efforts are not linear in, shape (p,)."""
-        changed, fields = np.zeros(len(theta), dtype=bool), self._edits.written(theta)
+        changed = np.zeros(count, dtype=bool)
         idle = (*_IDLE, *(("actuator_",) if along.inputs is None else ()))
         for name, values in fields.items():
             if name not in (*_INERTIA, *_JOINT) and not name.startswith(idle):
-                changed |= (values != getattr(self._model, name)).reshape(len(theta), -1).any(axis=1)
+                changed |= (values != getattr(self._model, name)).reshape(count, -1).any(axis=1)
         return changed
 
-    def _linear(self, theta: FloatArray, along: Along) -> FloatArray:
-        """Efforts (p, c, s, nv) of candidates that differ in inertias and numbers of joints only."""
+    def _linear(self, fields: Mapping[str, FloatArray], count: int, along: Along) -> FloatArray:
+        """Efforts (p, c, s, nv) of p candidates that differ in inertias and numbers of joints only."""
         missing = [i for i, key in enumerate(along.keys) if key not in self._tables]
         if missing:
             self._add(along.of(np.array(missing)))
         tables = [self._tables[key] for key in along.keys]
-        bodies, joints = self._numbers(self._edits.written(theta), len(theta))
+        bodies, joints = self._numbers(fields, count)
         c, s, nv = along.qvel.shape
-        efforts = np.zeros((len(theta), c, s, nv))
+        efforts = np.zeros((count, c, s, nv))
         for i, table in enumerate(tables):
             of = efforts[:, i, : len(table.rest)]  # a clip may be padded by more instants than its table
             of += (table.rest + np.einsum("ksv,pkv->psv", table.joints, joints))[:, :s]

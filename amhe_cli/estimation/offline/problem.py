@@ -26,6 +26,8 @@ from amhe_cli.system.system import System
 
 #: A parameter whose step of half a prior sd moves no measurement by this many noise sd is out of reach.
 OUT_OF_REACH = 1e-2
+#: Shape of the samples where nothing is integrated, as a share of the usual.
+EXACT = 1e-2
 #: Relative rounding of an engine that does not decide it: contacts amplify its rounding beyond that.
 COARSE = 1e-12
 #: Random clips drawn even from a log too short for them side by side.
@@ -163,11 +165,12 @@ class Problem:
     ) -> Linearisation:
         """Slopes of a cost about z (d,) and first-state errors, from samples of a shape (d, d).
 
-        Efforts along a motion never jitter: short steps give their slopes exactly, where wide samples of
-        inertias would bend those of what efforts are linear in.
+        Efforts along a motion never jitter: the shortest steps give their slopes exactly, where wider ones
+        would bend along the valleys of numbers that only together are known well.
         """
         samples, rough = self.settings.identify.samples, self.rough
-        straight |= self.system.match == "effort"
+        if self.system.match == "effort":
+            straight, shape = True, EXACT * shape
         return linearise(
             cost, z, first, shape, samples, rng, averaged=rough, straight=straight, reach=self.reach
         )

@@ -53,6 +53,9 @@ LINE = np.array([4.0, 2.0, 1.0, 0.5, 0.2, 0.0])
 #: Where nothing touches, the whole step is tried first, and the others only where the cost falls by another
 #: amount than its slopes predict, by more than this share of it.
 WHOLE, OTHERS, AS_PREDICTED = np.array([1.0, 0.0]), np.array([4.0, 2.0, 0.5, 0.2]), 0.25
+#: Before that the step is corrected by the same slopes, at most so often: in a valley that bends it goes on
+#: along the valley (the chord method; one rollout a clip).
+CORRECTED = 3
 #: Where none of these helps, damped steps are tried: the share of each curvature that is added to it
 #: (Marquardt 1963).
 DAMPED = np.array([0.1, 1.0, 10.0, 100.0])
@@ -218,9 +221,18 @@ def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, fo
     blind = problem.rough and state.stage == "polish"
     line = BLIND_LINE if blind else LINE if problem.touches else WHOLE
     tried = [along(line, line[:, None] * step)]
-    if not problem.touches and not _as_predicted(tried[0], float((2.0 * whole - step) @ hessian @ step)):
+    falls, stay = float((2.0 * whole - step) @ hessian @ step), tried[0].values[-1]
+    if not problem.touches:
+        for _ in range(CORRECTED * (reach <= 1.0)):  # a valley that bends is left by a straight step
+            if not np.isfinite(tried[-1].values[0]) or _as_predicted(stay - tried[-1].values[0], falls):
+                break
+            at, score = tried[-1].z[0], _score(slopes, found, weight, tried[-1])
+            more, _ = gauss_newton_step(matrix, score, prior, at)
+            more = step_within(at, more, hessian, problem.system.space) * problem.active
+            tried.append(along(WHOLE[:1], (at + more - state.z)[None]))
+    if not problem.touches and not any(_as_predicted(stay - one.values[0], falls) for one in tried):
         tried.append(along(OTHERS, OTHERS[:, None] * step))
-        if min(one.values.min() for one in tried) == tried[0].values[-1]:
+        if min(one.values.min() for one in tried) == stay:
             tried.append(along(1.0 / DAMPED, _damped(hessian, whole, problem.active)))
     one = min(tried, key=lambda one: one.values.min())
     best = int(np.argmax(np.isfinite(one.values)) if blind else np.argmin(one.values))
@@ -254,16 +266,24 @@ class _Tried:
     values: FloatArray
 
 
+def _score(slopes: Linearisation, found: Information, weight: FloatArray, one: _Tried) -> FloatArray:
+    """Gradient (d,) of half the data's cost where the first of some steps led, by the slopes from before."""
+    gz, gx = np.split(slopes.gain, [one.z.shape[1]], axis=1)
+    pull = weight[:, None, None] * (found.weight * to_host(one.residuals.stacked[0]))[..., None]
+    of_first = (gx @ pull)[..., 0] + weight[:, None] * one.first[0]
+    moved: FloatArray = np.einsum("cxd,cx->d", found.nuisance_gain, of_first)
+    return moved + (gz @ pull)[..., 0].sum(axis=0)
+
+
 def _damped(hessian: FloatArray, step: FloatArray, active: BoolArray) -> FloatArray:
     """Gauss-Newton's step, damped by each of `DAMPED`, shape (p, d)."""
     down, curvature = hessian @ step, np.diag(np.diag(hessian))
     return np.array([np.linalg.solve(hessian + more * curvature, down) for more in DAMPED]) * active
 
 
-def _as_predicted(tried: _Tried, predicted: float) -> bool:
-    """Whether the whole step lowers the cost as its slopes predict; a settled one may differ."""
-    whole, stay = map(float, tried.values)
-    return abs(stay - whole - predicted) < AS_PREDICTED * max(predicted, SETTLED**2)
+def _as_predicted(fall: float, predicted: float) -> bool:
+    """Whether the cost falls as the slopes predict; that of a settled search may differ."""
+    return abs(fall - predicted) < AS_PREDICTED * max(predicted, SETTLED**2)
 
 
 def _reshaped(

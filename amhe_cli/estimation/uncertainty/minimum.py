@@ -16,6 +16,7 @@ import numpy as np
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.each_log import acting
 from amhe_cli.core.parameters import ParameterSpace
+from amhe_cli.engine.inverse import LINEAR
 from amhe_cli.estimation.core.agreement import SURPRISE
 from amhe_cli.estimation.core.information import gauss_newton_step, step_within
 from amhe_cli.estimation.offline import search
@@ -87,14 +88,15 @@ def better(problem: Problem, finding: Finding, z: FloatArray, watch: Watch) -> S
 def second_minimum(problem: Problem, finding: Finding, fit: FinalFit) -> Rival | None:
     """Other values that the logs allow, although the covariance of the estimate excludes them.
 
-    Where contacts jitter, none are looked for.
+    Where contacts jitter, none are looked for; efforts that are linear in the unknowns have one minimum.
 
     Args:
         problem: The problem that was searched.
         finding: Where its search ended.
         fit: The linearisation there.
     """
-    if problem.rough:  # contacts that jitter make rises everywhere
+    linear = problem.system.match == "effort" and LINEAR.issuperset(problem.system.edits.fields)
+    if linear or problem.rough:  # contacts that jitter make rises everywhere
         return None
     part, space, covariance = _part(problem, fit), problem.system.space, fit.posterior.covariance
     cost = part.cost(part.clips)
