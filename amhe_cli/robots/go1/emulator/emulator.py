@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from contextlib import ExitStack, closing
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -15,7 +15,6 @@ from amhe_cli.core.arrays import FloatArray, sealed
 from amhe_cli.core.log import Samples
 from amhe_cli.core.rotations import exp, multiply, normalised, rotate, yaw_of
 from amhe_cli.robots.go1.emulator.ports import Faults, Motive, RobotPort, bound
-from amhe_cli.robots.go1.kinematics import JOINTS, LEGS
 from amhe_cli.robots.go1.link.packets import SERVO, VELOCITY_OFF, CrcForm, MotorCommand, RobotState
 from amhe_cli.robots.go1.link.process import Clock
 from amhe_cli.robots.go1.model import plant_model
@@ -29,11 +28,8 @@ STEP = 0.001
 _IDLE = 0.3
 #: Temperature of the motors [deg C], and charge of the battery [%]; faults have others.
 _WARM, _CHARGE = 32.0, 85
-#: Foot sensors give so many counts per newton, and have a zero of their own.
-_PER_NEWTON, _ZERO = 1.2, np.array([12.0, -7.0, 20.0, 3.0])
 #: A box that has moved so far has begun to be pushed [m]: from then on the task's clock runs.
 _MOVED = 0.005
-_SERIAL, _VERSION = (0x0304, 0), (0x00010205, 0)
 #: Height of the trunk from which a robot with folded legs is put down [m], and the time that it settles [s].
 _DROP, _SETTLING = 0.07, 1.0
 #: Joint angles of a lying robot: knees apart, the belly on the floor [rad].
@@ -57,8 +53,6 @@ class EmulatedBody(Plant):
         super().__init__(model, task.changes, rng)
         model.actuator_ctrllimited[:] = 0  # motors have no limits but those of torque
         model.dof_damping[self._at.joints_v] = 0.0
-        self._leg_of = np.full(model.nbody, -1)
-        self._leg_of[[model.joint(name).bodyid[0] for name in JOINTS]] = np.repeat(np.arange(len(LEGS)), 3)
         self._lie_down()
         self._box_start = self.state.box.position[:2]
         self._moving_since: float | None = None
@@ -118,20 +112,8 @@ class EmulatedBody(Plant):
             joint_rates=measured["joints.velocity"][1][-1],
             torques=np.array(self._data.actuator_force[self._at.servos]),
             temperatures=np.full(12, _WARM),
-            foot_force=_ZERO + _PER_NEWTON * self._foot_forces(),
             charge=_CHARGE,
-            serial=_SERIAL,
-            version=_VERSION,
         )
-
-    def _foot_forces(self) -> FloatArray:
-        """Normal forces of floor or box on the legs [N], shape (4,)."""
-        contact = self._data.contact
-        rows = contact.efc_address  # with elliptic cones the first of a contact's forces is the normal one
-        legs = self._leg_of[self.model.geom_bodyid[contact.geom]].max(axis=1, initial=-1)
-        touching = (rows >= 0) & (legs >= 0)
-        forces = np.bincount(legs[touching], self._data.efc_force[rows[touching]], len(LEGS))
-        return forces.astype(np.float64)
 
 
 #: An emulator this far behind the clock [s] stops catching up, and from then on is slower than it reports.
@@ -269,38 +251,29 @@ class Emulator:
             self._cameras.show(seen, now)
 
 
-class _Cameras:
-    """Cameras without a protocol: nobody sees their frames."""
+class _UdpCameras:
+    """Cameras that send our own datagrams; nobody sees a body without a name."""
 
     address: tuple[str, int] | None = None
 
+    def __init__(self, host: str, port: int, names: Sequence[str]) -> None:
+        self._socket, self._to, self._names = bound(host, 0), (host, port), names
+
     def serve(self, now: float) -> None: ...
 
-    def show(self, poses: list[Pose], now: float) -> None: ...
-
-    def close(self) -> None: ...
-
-
-class _UdpCameras(_Cameras):
-    def __init__(self, options: EmulatorOptions) -> None:
-        self._socket = bound(options.host, 0)
-        self._to, self._names = (options.host, options.mocap_port), options.bodies
-
     def show(self, poses: list[Pose], now: float) -> None:
-        for name, (position, orientation) in zip(self._names, poses, strict=True):
-            try:
+        for name, (position, orientation) in zip(self._names, poses, strict=False):
+            with suppress(OSError):  # nobody listens yet
                 self._socket.sendto(pose_datagram(name, now, position, orientation), self._to)
-            except OSError:  # nobody listens yet
-                return
 
     def close(self) -> None:
         self._socket.close()
 
 
-def _cameras(options: EmulatorOptions) -> _Cameras | Motive:
+def _cameras(options: EmulatorOptions) -> _UdpCameras | Motive:
     if options.mocap == "natnet":
         return Motive(options.host, options.mocap_port, options.bodies)
-    return _UdpCameras(options) if options.mocap == "udp" else _Cameras()
+    return _UdpCameras(options.host, options.mocap_port, options.bodies if options.mocap == "udp" else ())
 
 
 def _seen(measured: Samples, faults: Faults, offsets: tuple[Offset, Offset]) -> list[Pose]:

@@ -14,7 +14,7 @@ import socket
 import struct
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -25,10 +25,10 @@ from amhe_cli.robots.go1.link.packets import (
     CrcForm,
     MotorCommand,
     PacketError,
-    Remote,
     RobotState,
     decode_command,
     encode_state,
+    pressing,
 )
 from amhe_cli.robots.go1.poses.sources import Pose
 
@@ -109,7 +109,7 @@ def _one(values: FloatArray, value: float) -> FloatArray:
 
 
 _TELLING: dict[str, Callable[[RobotState], RobotState]] = {
-    "remote": lambda state: replace(state, remote=Remote(frozenset({"L2", "B"})).raw()),
+    "remote": lambda state: replace(state, remote=pressing("L2", "B")),
     "hot": lambda state: replace(state, temperatures=_one(state.temperatures, 95.0)),
     "mode": lambda state: replace(state, modes=_one(state.modes.astype(float), 8.0).astype(int)),
     "battery": lambda state: replace(state, charge=4),
@@ -120,38 +120,8 @@ _TELLING: dict[str, Callable[[RobotState], RobotState]] = {
 }
 
 
-@dataclass(slots=True)
-class Dice:
-    """Decides by chance what becomes of a datagram.
-
-    Args:
-        faults: Probabilities of loss, duplicates and damage.
-        rng: The source of chance.
-    """
-
-    faults: Faults
-    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
-
-    def copies(self, datagram: bytes, inward: bool) -> list[bytes]:
-        """What arrives of a datagram: nothing, itself, itself twice, or something else."""
-        f = self.faults
-        if not (f.loss or f.duplicate or f.corrupt):
-            return [datagram]
-        lost, doubled, damaged = self.rng.random(3)
-        if lost < f.loss:
-            return []
-        if damaged < f.corrupt and not inward:
-            position = int(self.rng.integers(3, 600))
-            datagram = datagram[:position] + bytes([datagram[position] ^ 1]) + datagram[position + 1 :]
-        return [datagram] * (2 if doubled < f.duplicate else 1)
-
-
 _LARGEST = 2048
 _HIGH_LEVEL = bytes(1087)
-
-
-class PortError(AmheError):
-    """A port cannot be opened."""
 
 
 def bound(host: str, port: int, arguments: tuple[str, str] = ("port", "port")) -> socket.socket:
@@ -162,7 +132,7 @@ def bound(host: str, port: int, arguments: tuple[str, str] = ("port", "port")) -
         arguments: What chooses the port here, and in the program that comes to it.
 
     Raises:
-        PortError: Another program has the port, or this computer has no such address.
+        AmheError: Another program has the port, or this computer has no such address.
     """
     end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     end.setblocking(False)
@@ -173,7 +143,7 @@ def bound(host: str, port: int, arguments: tuple[str, str] = ("port", "port")) -
         here, there = arguments
         other = f"; with another emulator there, give this one `{here}` and its `amhe run` the same `{there}`"
         advice = other if error.errno == errno.EADDRINUSE else ""
-        raise PortError(f"port {port} of {host} cannot be had: {error.strerror or error}{advice}") from error
+        raise AmheError(f"port {port} of {host} cannot be had: {error.strerror or error}{advice}") from error
     return end
 
 
@@ -211,7 +181,7 @@ class RobotPort:
 
     def cause(self, faults: Faults) -> None:
         """Replace the faults on the way from now on."""
-        self._faults, self._dice = faults, Dice(faults, np.random.default_rng(1))
+        self._faults, self._rng = faults, np.random.default_rng(1)
 
     def receive(self, now: float) -> list[MotorCommand]:
         """Good commands that have come by a time [s]."""
@@ -240,9 +210,20 @@ class RobotPort:
     def _delay(self, now: float, inward: bool, datagram: bytes) -> None:
         copies, delay = [datagram], 0.0
         if not self.undisturbed:
-            copies, delay = self._dice.copies(datagram, inward), self._faults.delay
+            copies, delay = self._copies(datagram, inward), self._faults.delay
         for copy in copies:
             heapq.heappush(self._waiting, (now + delay, next(self._order), inward, copy))
+
+    def _copies(self, datagram: bytes, inward: bool) -> list[bytes]:
+        """What arrives of a datagram, by chance: nothing, itself, itself twice, or something else."""
+        f = self._faults
+        lost, doubled, damaged = self._rng.random(3)
+        if lost < f.loss:
+            return []
+        if damaged < f.corrupt and not inward:
+            position = int(self._rng.integers(3, 600))
+            datagram = datagram[:position] + bytes([datagram[position] ^ 1]) + datagram[position + 1 :]
+        return [datagram] * (2 if doubled < f.duplicate else 1)
 
     def _deliver(self, now: float) -> None:
         while self._waiting and self._waiting[0][0] <= now:

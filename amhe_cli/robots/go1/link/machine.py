@@ -14,7 +14,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray, sealed
 from amhe_cli.robots.go1.kinematics import HOME, JOINTS
 from amhe_cli.robots.go1.link.mail import Inbox, Phase, Targets, allowed, beyond, eased, travel_time
-from amhe_cli.robots.go1.link.packets import OVERHEATED, SERVO, MotorCommand, Remote, RobotState
+from amhe_cli.robots.go1.link.packets import OVERHEATED, SERVO, MotorCommand, RobotState, pressed
 from amhe_cli.robots.go1.settings import Go1Settings, TripSettings
 
 
@@ -50,7 +50,6 @@ class View:
 
 #: The reason of a trip in words; '' or None if there is none.
 Trip = Callable[[View, TripSettings], str | None]
-_STOPS, _NO_POSE = "remote control: L2+B or select", "no pose of trunk or box"
 
 
 def power(state: RobotState) -> float:
@@ -63,6 +62,11 @@ def tilt(quaternion: FloatArray) -> float:
     w, x, y, z = quaternion.tolist()
     upright = 1.0 - 2.0 * (x * x + y * y) / max(w * w + x * x + y * y + z * z, 1e-9)
     return float(np.arccos(min(1.0, max(-1.0, upright))))
+
+
+def _stopped_by_remote(view: View, limits: TripSettings) -> str | None:
+    keys = pressed(view.state.remote)
+    return "remote control: L2+B or select" if {"L2", "B"} <= keys or "select" in keys else None
 
 
 def _damaged(view: View, limits: TripSettings) -> str | None:
@@ -146,7 +150,7 @@ def _runs(view: View, reason: str | None) -> str | None:
 #: Trip -> the phase that follows, most urgent first.
 TRIPS: dict[str, tuple[Trip, Phase]] = {
     "order": (lambda v, _: v.inbox.stop, Phase.DAMP),
-    "remote": (lambda v, _: _STOPS if Remote.of(v.state.remote).stops else None, Phase.DAMP),
+    "remote": (_stopped_by_remote, Phase.DAMP),
     "stalled": (lambda v, s: _late("the sender stalled: no packet", v.gap, s.packet_gap), Phase.DAMP),
     "state_lost": (lambda v, s: _late("no state of the robot", v.state_age, s.state_age), Phase.DAMP),
     "damaged": (_damaged, Phase.DAMP),
@@ -163,8 +167,10 @@ TRIPS: dict[str, tuple[Trip, Phase]] = {
     "pose_false": (lambda v, _: _runs(v, v.inbox.contradiction), Phase.DAMP),
     "plan_lost": (lambda v, s: _runs(v, _late("no plan", v.plan_age, s.plan_age)), Phase.PAUSE),
     "pose_doubt": (lambda v, _: _runs(v, v.inbox.doubt), Phase.PAUSE),
-    "pose_lost": (lambda v, s: _runs(v, _late(_NO_POSE, v.pose_age, s.pose_age)), Phase.PAUSE),
-}
+    "pose_lost": (
+        lambda v, s: _runs(v, _late("no pose of trunk or box", v.pose_age, s.pose_age)), Phase.PAUSE,
+    ),
+}  # fmt: skip
 
 NO_JUMP = sealed(np.zeros(12))
 
@@ -268,7 +274,7 @@ class Machine:
             self._enter(Phase.STAND, now, self._from)
         elif self.phase == Phase.STAND and elapsed > self._stand_time:
             self._enter(Phase.READY, now, HOME)
-        elif self.phase == Phase.READY and (inbox.arm or self._armed(Remote.of(state.remote))):
+        elif self.phase == Phase.READY and (inbox.arm or self._armed("R2" in pressed(state.remote))):
             self._enter(Phase.RUN, now, HOME)
         elif self.phase == Phase.PAUSE and elapsed > s.hold_time:
             self._enter(Phase.SIT, now, self._from)
@@ -306,10 +312,10 @@ class Machine:
             targets=wanted,
         )
 
-    def _armed(self, remote: Remote) -> bool:
+    def _armed(self, held: bool) -> bool:
         """Whether the remote's key was pressed after the robot stood up: not held from before."""
-        self._released = self._released or not remote.arms
-        return self._released and remote.arms
+        self._released = self._released or not held
+        return self._released and held
 
     def _trip(self, name: str, reason: str, then: Phase, now: float) -> None:
         if not self.trip:

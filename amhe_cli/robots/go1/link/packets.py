@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray, IntArray
+from amhe_cli.core.arrays import FloatArray, IntArray, sealed
 from amhe_cli.core.errors import AmheError
 
 HEAD, LOW_LEVEL = b"\xfe\xef", 0xFF
@@ -152,13 +152,9 @@ _SCALES = np.array([[TORQUE], [KP], [KD]], dtype=np.float32)
 _MOTORS, _MOTORS_AT = COMMAND["motors"].base, COMMAND.fields["motors"][1]
 
 
-def _off(value: float) -> FloatArray:
-    off = np.full(MOTORS, value)
-    off.setflags(write=False)
-    return off
-
-
-_NOTHING, _NO_POSITION, _NO_VELOCITY = _off(0.0), _off(POSITION_OFF), _off(VELOCITY_OFF)
+_NOTHING, _NO_POSITION, _NO_VELOCITY = (
+    sealed(np.full(MOTORS, value)) for value in (0.0, POSITION_OFF, VELOCITY_OFF)
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -259,39 +255,20 @@ _KEYS = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class Remote:
-    """Keys of the remote control that are held down, by name."""
+def pressed(remote: bytes) -> set[str]:
+    """Keys of the remote control that are held down, in its 40 bytes; none where there is no remote."""
+    word = int.from_bytes(remote[2:4], "little")
+    return {name for bit, name in enumerate(_KEYS) if word >> bit & 1} if word else set()
 
-    keys: frozenset[str] = frozenset()
 
-    @staticmethod
-    def of(raw: bytes) -> Remote:
-        """Keys in the 40 bytes of a state; none where there is no remote control."""
-        word = int.from_bytes(raw[2:4], "little")
-        return Remote(
-            frozenset(name for bit, name in enumerate(_KEYS) if word >> bit & 1) if word else frozenset()
-        )
-
-    def raw(self) -> bytes:
-        """The inverse of `of`."""
-        word = sum(1 << _KEYS.index(name) for name in self.keys)
-        return bytes(2) + word.to_bytes(2, "little") + bytes(36)
-
-    @property
-    def stops(self) -> bool:
-        """Whether L2 + B or select is pressed: motors are damped at once."""
-        return {"L2", "B"} <= self.keys or "select" in self.keys
-
-    @property
-    def arms(self) -> bool:
-        """Whether R2 is pressed: the run may begin."""
-        return "R2" in self.keys
+def pressing(*keys: str) -> bytes:
+    """The inverse of `pressed`."""
+    return bytes(2) + sum(1 << _KEYS.index(key) for key in keys).to_bytes(2, "little") + bytes(36)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotState:
-    """One packet of the robot; joints in the order of `kinematics.JOINTS`, feet FR FL RR RL.
+    """What we read of a packet of the robot; joints in the order of `kinematics.JOINTS`.
 
     Args:
         tick: The robot's own clock [ms].
@@ -303,11 +280,8 @@ class RobotState:
         joint_rates: Joint velocities [rad/s], shape (12,).
         torques: Torques that the motors estimate [N m], shape (12,).
         temperatures: Temperatures of the motors [deg C], shape (12,).
-        foot_force: Readings of the foot sensors in their own unit, shape (4,).
         charge: Charge of the battery [%].
         remote: The remote control's 40 bytes.
-        serial: Two numbers that give kind and model.
-        version: Versions of hardware and firmware, two numbers.
     """
 
     tick: int
@@ -319,11 +293,8 @@ class RobotState:
     joint_rates: FloatArray
     torques: FloatArray
     temperatures: FloatArray
-    foot_force: FloatArray
     charge: int
     remote: bytes = bytes(40)
-    serial: tuple[int, int] = (0, 0)
-    version: tuple[int, int] = (0, 0)
 
 
 @np.errstate(invalid="ignore")  # a signalling NaN is a matter for the trips
@@ -351,11 +322,8 @@ def decode_state(datagram: bytes, crc: CrcForm = "plain") -> RobotState:
         motors["velocity"].astype(np.float64),
         motors["torque"] / TORQUE,
         motors["temperature"].astype(np.float64),
-        record["foot_force"].astype(np.float64),
         int(record["battery"]["charge"]),
         record["remote"].tobytes(),
-        (int(record["serial"][0]), int(record["serial"][1])),
-        (int(record["version"][0]), int(record["version"][1])),
     )
 
 
@@ -366,7 +334,6 @@ def encode_state(state: RobotState, crc: CrcForm = "plain") -> bytes:
     """
     packet = bytearray(_NO_STATE)
     record = fields(packet, STATE)
-    record["serial"], record["version"] = state.serial, state.version
     record["quaternion"], record["gyro"] = state.quaternion, state.gyro
     record["accelerometer"], record["rpy"] = state.accelerometer, _rpy(state.quaternion)
     motors = record["motors"][:MOTORS]
@@ -376,7 +343,6 @@ def encode_state(state: RobotState, crc: CrcForm = "plain") -> bytes:
     motors["torque"] = np.minimum(np.maximum(np.trunc(state.torques * TORQUE), -32768), 32767)
     motors["temperature"] = np.minimum(np.maximum(state.temperatures, -128), 127)
     record["battery"]["charge"], record["battery"]["status"] = state.charge, 1
-    record["foot_force"] = np.minimum(np.maximum(state.foot_force, -32768), 32767)
     record["tick"] = state.tick % 2**32
     record["remote"] = np.frombuffer(state.remote, dtype=np.uint8)
     return seal(packet, crc)

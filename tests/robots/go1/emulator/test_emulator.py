@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.robots.go1.emulator.emulator import EmulatedBody, Emulator, EmulatorOptions
-from amhe_cli.robots.go1.emulator.ports import Faults, Motive, PortError, RobotPort, parse_faults
+from amhe_cli.robots.go1.emulator.ports import Faults, Motive, RobotPort, parse_faults
 from amhe_cli.robots.go1.kinematics import HOME, TORQUE_LIMIT
 from amhe_cli.robots.go1.link.packets import (
     DAMPED,
@@ -58,8 +58,6 @@ def test_it_lies_with_folded_calves_stands_up_and_sinks_when_damped(lying: Emula
     assert 0.24 < lying.state.trunk.position[2] < 0.3
     state, _ = lying.obey(servo(HOME))
     assert state.accelerometer[2] == pytest.approx(9.81, abs=1.5)
-    weight = (state.foot_force - [12, -7, 20, 3]).sum() / 1.2
-    assert weight == pytest.approx(12.7 * 9.81, rel=0.25)
     assert (state.modes == SERVO).all()
     for _ in range(1500):
         state, _ = lying.obey(MotorCommand(velocity=np.zeros(12), kd=np.full(12, 3.0)))
@@ -166,7 +164,7 @@ def test_a_fault_that_is_none_is_refused(text: str) -> None:
 def test_a_port_that_is_taken_is_one_line() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", 0))
-        with pytest.raises(PortError, match=f"port {other.getsockname()[1]} of 127.0.0.1"):
+        with pytest.raises(AmheError, match=f"port {other.getsockname()[1]} of 127.0.0.1"):
             RobotPort("127.0.0.1", other.getsockname()[1], Faults())
 
 

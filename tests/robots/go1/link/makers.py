@@ -21,7 +21,7 @@ def a_state(**changes: Any) -> RobotState:
             tick=1, quaternion=np.array([1.0, 0, 0, 0]), gyro=np.zeros(3),
             accelerometer=np.array([0, 0, 9.81]), modes=np.full(12, SERVO),
             joints=np.array(HOME), joint_rates=np.zeros(12), torques=np.zeros(12),
-            temperatures=np.full(12, 30.0), foot_force=np.full(4, 30.0), charge=80,
+            temperatures=np.full(12, 30.0), charge=80,
         ),
         **changes,
     )  # fmt: skip

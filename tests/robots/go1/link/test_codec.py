@@ -14,13 +14,14 @@ from amhe_cli.robots.go1.link.packets import (
     LinkError,
     MotorCommand,
     PacketError,
-    Remote,
     crc32,
     decode_command,
     decode_state,
     encode_command,
     encode_state,
     encrypted,
+    pressed,
+    pressing,
     seal,
 )
 from tests.robots.go1.link.makers import a_state
@@ -115,11 +116,11 @@ def test_what_is_not_finite_is_refused(field: str, value: float) -> None:
 def test_a_state_comes_back(joints, rates, torques, quaternion, gyro, tick) -> None:
     sent = a_state(
         tick=tick, joints=joints, joint_rates=rates, torques=torques, quaternion=quaternion, gyro=gyro,
-        remote=Remote(frozenset({"L2", "B"})).raw(),
+        remote=pressing("L2", "B"),
     )  # fmt: skip
     read = decode_state(encode_state(sent))
     assert (read.tick, read.charge, read.remote) == (tick, sent.charge, sent.remote)
-    for name in ("joints", "joint_rates", "quaternion", "gyro", "modes", "temperatures", "foot_force"):
+    for name in ("joints", "joint_rates", "quaternion", "gyro", "modes", "temperatures"):
         np.testing.assert_array_equal(getattr(read, name), np.float32(getattr(sent, name)))
     np.testing.assert_array_equal(read.torques, np.trunc(torques * 256) / 256)
 
@@ -155,11 +156,9 @@ def test_the_robots_side_takes_either_checksum_and_ours_only_the_plain_one() -> 
 
 
 def test_keys_of_the_remote() -> None:
-    assert int.from_bytes(Remote(frozenset({"L2", "B"})).raw()[2:4], "little") == 0x0220
-    assert Remote.of(Remote(frozenset({"L2", "B"})).raw()).stops
-    assert not Remote.of(Remote(frozenset({"L2"})).raw()).stops
-    assert Remote.of(Remote(frozenset({"R2"})).raw()).arms
-    assert not Remote.of(bytes(40)).arms
+    assert int.from_bytes(pressing("L2", "B")[2:4], "little") == 0x0220
+    assert pressed(pressing("L2", "B")) == {"L2", "B"}
+    assert pressed(bytes(40)) == set()
 
 
 @pytest.mark.filterwarnings("error")

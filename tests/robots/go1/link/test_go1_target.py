@@ -21,7 +21,7 @@ from amhe_cli.core.rotations import exp
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.mail import Followed, SenderReport, StoppedError
-from amhe_cli.robots.go1.link.packets import Remote
+from amhe_cli.robots.go1.link.packets import pressing
 from amhe_cli.robots.go1.link.process import Clock
 from amhe_cli.robots.go1.link.target import Go1Target
 from amhe_cli.robots.go1.model import Box
@@ -96,7 +96,7 @@ def test_what_is_not_by_default_is_reported_before_arming(puppet: Puppet) -> Non
     def hear(text: str) -> None:
         texts.append(text)
         if "Enter" in text:
-            puppet.change = lambda sent: replace(sent, remote=Remote(frozenset({"R2"})).raw())
+            puppet.change = lambda sent: replace(sent, remote=pressing("R2"))
 
     with a_target(puppet, SETTINGS.model_copy(update={"arm": "operator"})) as (target, _):
         found = target.check()
@@ -216,7 +216,7 @@ def test_a_fault_during_the_run_stops_it_and_says_why(puppet: Puppet, lost: str)
             feed.process.kill()
             message = "the pose source udp has died"
         else:
-            puppet.change = lambda sent: replace(sent, remote=Remote(frozenset({"select"})).raw())
+            puppet.change = lambda sent: replace(sent, remote=pressing("select"))
             message = "remote control"
         with pytest.raises((StoppedError, OperatorStopError, PoseError), match=message):
             for _ in range(200):

@@ -27,7 +27,7 @@ from amhe_cli.robots.go1.link import link as watch
 from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.machine import Machine
 from amhe_cli.robots.go1.link.mail import Inbox, Phase, SenderReport, StoppedError, Targets
-from amhe_cli.robots.go1.link.packets import SERVO, LinkError, Remote, decode_state, encode_state
+from amhe_cli.robots.go1.link.packets import SERVO, LinkError, decode_state, encode_state, pressing
 from amhe_cli.robots.go1.link.process import SENDER, Child, Clock, Pipe, take_priority, ticks_ahead
 from amhe_cli.robots.go1.link.sender import RobotSocket, Sender, Share, connected
 from amhe_cli.robots.go1.settings import Go1Settings
@@ -155,7 +155,7 @@ def test_nothing_but_idle_packets_before_the_order_to_stand(puppet: Puppet) -> N
 )
 def test_a_fault_of_the_robot_damps_the_motors(puppet: Puppet, fault: str, trip: str) -> None:
     """The trips themselves are in test_machine.py."""
-    changes = {"mode": {"modes": np.full(12, 8)}, "remote": {"remote": Remote(frozenset({"L2", "B"})).raw()}}
+    changes = {"mode": {"modes": np.full(12, 8)}, "remote": {"remote": pressing("L2", "B")}}
     with a_link(puppet) as link:
         link.connect()
         link.stand()
@@ -635,7 +635,7 @@ def test_a_robot_that_is_slowed_down_otherwise_is_noticed(puppet: Puppet, slow: 
         ({"temperatures": np.full(12, 88.0)}, "hot"),
         ({"quaternion": np.array([np.cos(0.6), np.sin(0.6), 0.0, 0.0])}, "leans"),
         ({"joint_rates": np.full(12, np.nan)}, "not a number"),
-        ({"remote": Remote(frozenset({"select"})).raw()}, "remote"),
+        ({"remote": pressing("select")}, "remote"),
     ],
 )
 def test_a_robot_in_no_condition_is_unfit(change: dict, message: str) -> None:

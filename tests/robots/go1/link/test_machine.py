@@ -12,7 +12,7 @@ import pytest
 from amhe_cli.robots.go1.kinematics import HOME, TORQUE_LIMIT
 from amhe_cli.robots.go1.link.machine import TRIPS, Machine
 from amhe_cli.robots.go1.link.mail import HIGHEST, LOWEST, Inbox, Phase, Sent, Targets, allowed
-from amhe_cli.robots.go1.link.packets import SERVO, MotorCommand, Remote
+from amhe_cli.robots.go1.link.packets import SERVO, MotorCommand, pressing
 from amhe_cli.robots.go1.link.sender import next_tick
 from amhe_cli.robots.go1.model import layout, planner_model
 from amhe_cli.robots.go1.settings import Go1Settings
@@ -98,7 +98,7 @@ def test_it_waits_for_the_operator_and_then_for_the_first_plan() -> None:
     robot.until(Phase.READY)
     robot.for_a_while(3.0)
     assert robot.machine.phase == Phase.READY
-    robot.change = {"remote": Remote(frozenset({"R2"})).raw()}
+    robot.change = {"remote": pressing("R2")}
     robot.no_plans = robot.no_poses = True
     robot.until(Phase.RUN, 0.1)
     robot.change = {}
@@ -138,14 +138,14 @@ def test_fifty_armings_on_a_busy_computer_begin_smoothly() -> None:
 
 def test_a_key_of_the_remote_that_is_held_all_the_time_does_not_arm() -> None:
     robot = Robot()
-    robot.change = {"remote": Remote(frozenset({"R2"})).raw()}
+    robot.change = {"remote": pressing("R2")}
     robot.until(Phase.READY)
     robot.for_a_while(0.5)
     assert robot.machine.phase == Phase.READY
-    robot.change = {"remote": Remote(frozenset({"start"})).raw()}  # that enters low-level mode, with others
+    robot.change = {"remote": pressing("start")}  # that enters low-level mode, with others
     robot.for_a_while(0.5)
     assert robot.machine.phase == Phase.READY
-    robot.change = {"remote": Remote(frozenset({"R2"})).raw()}
+    robot.change = {"remote": pressing("R2")}
     robot.until(Phase.RUN, 0.1)
 
 
@@ -173,7 +173,7 @@ def test_an_end_before_it_stands_damps_and_throws_nothing_up(phase: Phase) -> No
 
 CHANGES: dict[str, Callable[[Robot], None]] = {
     "order": lambda robot: setattr(robot.inbox, "stop", "SIGINT"),
-    "remote": lambda robot: robot.change.update(remote=Remote(frozenset({"select"})).raw()),
+    "remote": lambda robot: robot.change.update(remote=pressing("select")),
     "stalled": lambda robot: setattr(robot, "now", robot.now + 0.021),
     "state_lost": lambda robot: setattr(robot, "silent", True),
     "damaged": lambda robot: setattr(robot.inbox, "bad_packets", 25),
