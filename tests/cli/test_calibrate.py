@@ -12,7 +12,6 @@ import pytest
 
 from amhe_cli.cli.main import run
 from amhe_cli.core.rotations import exp, multiply
-from amhe_cli.robots.go1.link.calibration import offset_of
 from tests.robots.go1.emulator.emulating import Emulated, emulating
 
 ROOT = Path(__file__).parents[2]
@@ -31,16 +30,25 @@ def off(name: str, offset: tuple[float, ...]) -> list[str]:
 
 
 @pytest.mark.slow
-def test_offsets_are_found_again_and_make_the_robot_fit_to_run(capsys) -> None:
+def test_offsets_are_found_again_and_make_the_robot_fit_to_run() -> None:
     pytest.importorskip("natnet")
     with emulating("--set", "go1.slow=2", *off("trunk", TRUNK), *off("box", BOX)) as emulated:
-        assert run(["calibrate", "--yes", "-o", "out", *at(emulated)]) == 0, capsys.readouterr().err
-        output = capsys.readouterr()
+        command = [sys.executable, "-m", "amhe_cli", "calibrate", "-o", "out", *at(emulated)]
+        pressed, nobody = (
+            subprocess.run(
+                [*command, *more], input=keys, text=True, capture_output=True, timeout=120,
+                env={"PYTHONPATH": str(ROOT)},
+            )
+            for keys, more in (("\n\n", ()), ("", ("--force",)))
+        )  # fmt: skip
         check = ["run", "--task", "t1", "--target", "go1", "--dry-run", *at(emulated)]
-        assert run(check) == 1, "without the offsets it is refused"
         assert run([*check, "--config", "out/offsets.yaml"]) == 0
-    assert "its head along the x axis" in output.err
-    assert output.out.startswith(Path("out/offsets.yaml").read_text())
+        assert run(check) == 1, "without the offsets it is refused"
+    assert pressed.returncode == 0, pressed.stderr
+    assert pressed.stderr.count("then press Enter") == 2
+    assert "its head along the x axis" in pressed.stderr
+    assert (nobody.returncode, "give --yes" in nobody.stderr) == (2, True)
+    assert pressed.stdout.startswith(Path("out/offsets.yaml").read_text())
     found = json.loads(Path("out/result.json").read_text())
     for name, true in (("trunk_offset", TRUNK), ("box_offset", BOX)):
         np.testing.assert_allclose(found[name][:3], true[:3], atol=0.001, err_msg=name)
@@ -58,26 +66,3 @@ def test_what_cannot_be_is_refused(capfd) -> None:
     assert "up axis z" in err
     assert sum("error:" in line for line in err.splitlines()) == 1
     assert list(Path().glob("*/*/*")) == []
-
-
-@pytest.mark.slow
-def test_the_operator_is_waited_for() -> None:
-    pytest.importorskip("natnet")
-    with emulating("--set", "go1.slow=2") as emulated:
-        command = [sys.executable, "-m", "amhe_cli", "calibrate", "-o", "out", *at(emulated)]
-        pressed = subprocess.run(
-            command, input="\n\n", text=True, capture_output=True, timeout=120, env={"PYTHONPATH": str(ROOT)}
-        )
-        nobody = subprocess.run(
-            [*command, "--force"], input="", text=True, capture_output=True, timeout=120,
-            env={"PYTHONPATH": str(ROOT)},
-        )  # fmt: skip
-    assert pressed.returncode == 0, pressed.stderr
-    assert pressed.stderr.count("then press Enter") == 2
-    assert nobody.returncode == 2
-    assert "give --yes" in nobody.stderr
-
-
-def test_no_offset_is_found_where_there_is_none() -> None:
-    pose = (np.array([1.0, 2.0, 0.3]), exp(np.array([0.1, 0.2, 0.3])))
-    np.testing.assert_allclose(offset_of(pose, pose), np.zeros(6), atol=1e-12)

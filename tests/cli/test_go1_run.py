@@ -53,18 +53,18 @@ def test_the_choices_are_those_of_the_library() -> None:
 
 
 @pytest.mark.slow
-def test_a_robot_is_checked_without_moving_and_then_runs_as_in_simulation(capsys) -> None:
+def test_a_robot_is_checked_without_moving_then_runs_and_its_log_is_identified(capsys, monkeypatch) -> None:
     pytest.importorskip("natnet")
-    with emulating("--set", "go1.slow=2") as emulated:
-        assert run([*at(emulated), "--dry-run"]) == 0
+    with emulating("--set", "go1.slow=4") as emulated:
+        assert run([*at(emulated, slow=4), "--dry-run"]) == 0
         assert "nothing has moved" in capsys.readouterr().out
         assert list(Path().iterdir()) == []
-        assert run([*at(emulated), "--duration", "0.5", "-o", "out"]) == 0, capsys.readouterr().err
+        assert run([*at(emulated, slow=4), "--duration", "4", "-o", "out"]) == 0, capsys.readouterr().err
     assert run([*ROBOT[:3], "--duration", "0.1", "-o", "sim", *QUICK]) == 0
     record = json.loads(Path("out/result.json").read_text())
     assert (record["target"], record["fell"], record["truth"]) == ("go1", False, {})
     assert record["link"]["trip"] == ""
-    assert record["link"]["slow"] == 2.0
+    assert record["link"]["slow"] == 4.0
     assert record["link"]["packets"]["packets"] > 500
     assert read_metadata(Path("out/log.mcap"))["target"] == "go1"
     real, simulated = survey(Path("out/log.mcap")), survey(Path("sim/log.mcap"))
@@ -73,13 +73,6 @@ def test_a_robot_is_checked_without_moving_and_then_runs_as_in_simulation(capsys
     assert topics[0] - topics[1] == {("/amhe/truth", "sensor_msgs/msg/JointState")}
     assert topics[1] <= topics[0]
     assert run(["inspect", "out/log.mcap"]) == 0
-
-
-@pytest.mark.slow
-def test_its_log_is_identified_and_replayed_with_no_options(capsys, monkeypatch) -> None:
-    pytest.importorskip("natnet")
-    with emulating("--set", "go1.slow=4") as emulated:
-        assert run([*at(emulated, slow=4), "--duration", "4", "-o", "out"]) == 0, capsys.readouterr().err
     for setting in ("ITERATIONS=3", "PROFILE_POINTS=0", "FIRST_STATE=never"):
         monkeypatch.setenv(*f"AMHE_IDENTIFY__{setting}".split("="))
     monkeypatch.setenv("AMHE_CLIPS__COUNT", "6")

@@ -61,7 +61,3 @@ def test_holding_torques_do_no_work_against_the_ground(joints: np.ndarray) -> No
     work = (legs.holding_torques(joints, forces) * motion).sum(-1)
     work += (forces * moved(joints, motion)).sum((-1, -2))
     np.testing.assert_allclose(work, 0.0, atol=1e-7)
-
-
-def test_home_height_puts_the_feet_on_the_floor() -> None:
-    np.testing.assert_allclose(legs.feet(legs.HOME)[:, 2], legs.FOOT_RADIUS - legs.HOME_HEIGHT)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import pytest
 
@@ -11,64 +9,10 @@ from amhe_cli.core.errors import ConfigError
 from amhe_cli.robots.go1.behaviours.sweeping import Sweeping
 from amhe_cli.robots.go1.behaviours.walking import Walking
 from amhe_cli.robots.go1.kinematics import FOOT_RADIUS, HOME, feet
-from amhe_cli.robots.go1.model import Change
-from amhe_cli.robots.go1.tasks import LONGEST, TASKS, Believed, find_task
+from amhe_cli.robots.go1.tasks import TASKS, find_task
 
 
-class Fact(NamedTuple):
-    size: tuple[float, float, float]
-    mass: float
-    friction: float
-    start: tuple[float, float]
-    goal: tuple[float, float]
-    length: float
-    nominal: float
-    changes: tuple[Change, ...]
-    baseline: Believed
-    stale: Believed | None
-
-
-BIG, SMALL = (0.30, 0.50, 0.30), (0.2, 0.3, 0.3)
-AHEAD = (0.6, 0.0)
-#: "Beside the front right foot" leaves its place open; a test below says what must hold.
-BESIDE = TASKS["t5"].box.position
-TURF = (Change(floor_friction=0.8, beyond_x=1.5),)
-LIGHT, STALE = Believed(2.0, 0.3), Believed(2.0, 0.2)
-FACTS = {
-    "t1": Fact(BIG, 4.0, 0.6, AHEAD, (3.0, 0.0), 2.4, 12.0, (), LIGHT, None),
-    "t2": Fact(BIG, 4.0, 0.4, AHEAD, (0.6, 3.0), 1.5 * np.pi, 23.6, (), LIGHT, None),
-    "t3": Fact(BIG, 4.0, 0.4, AHEAD, (3.6, 0.0), 3.0, 15.0, (Change(mass=6.0, at_time=10.0),),
-               Believed(4.0, 0.4), STALE),
-    "t4": Fact(BIG, 4.0, 0.4, AHEAD, (3.0, 0.0), 2.4, 12.0, TURF, Believed(4.0, 0.4), STALE),
-    "t5": Fact(SMALL, 3.0, 0.4, BESIDE, (BESIDE[0], BESIDE[1] - 0.5), 0.5, 10.0, (), LIGHT, None),
-    "hw1": Fact(BIG, 3.0, 0.4, AHEAD, (3.0, 0.0), 2.4, 12.0, (Change(mass=4.0, beyond_x=1.8),),
-                Believed(3.0, 0.4), None),
-    "hw2": Fact(BIG, 4.0, 0.4, AHEAD, (3.0, 0.0), 2.4, 12.0, TURF, Believed(4.0, 0.6), None),
-}  # fmt: skip
-
-
-def test_these_are_all_the_tasks() -> None:
-    assert list(TASKS) == list(FACTS)
-    assert all(task.name == name for name, task in TASKS.items())
-    assert LONGEST == 40.0
-
-
-@pytest.mark.parametrize("name", FACTS)
-def test_a_task_s_numbers(name: str) -> None:
-    task, fact = find_task(name), FACTS[name]
-    assert task.box.size == pytest.approx(fact.size)
-    assert (task.box.mass, task.box.floor_friction, task.box.yaw) == (fact.mass, fact.friction, 0.0)
-    assert task.box.position == task.path.start == pytest.approx(fact.start)
-    np.testing.assert_allclose(task.path.goal, fact.goal, atol=1e-12)
-    assert task.path.length == pytest.approx(fact.length)
-    assert task.nominal_time == fact.nominal
-    assert task.changes == fact.changes
-    assert (task.baseline, task.stale) == (fact.baseline, fact.stale)
-    assert task.corridor == (0.4 if name == "t2" else np.inf)
-    assert task.one_leg == (name == "t5")
-
-
-@pytest.mark.parametrize("name", [name for name in FACTS if name != "t5"])
+@pytest.mark.parametrize("name", [name for name in TASKS if name != "t5"])
 def test_the_walk_is_at_two_decimetres_a_second_and_tapers_over_two(name: str) -> None:
     task = find_task(name)
     end = task.path.length

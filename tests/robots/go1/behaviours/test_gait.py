@@ -45,13 +45,6 @@ def test_mode_switches_are_where_contacts_change() -> None:
     assert len(mode_switches(standing(GAIT), 0.0, 9.0)) == 0
 
 
-def test_phase_comes_from_time_alone() -> None:
-    times = np.array([0.13, 0.37, 12.21])
-    together = walk(GAIT, times, AHEAD).targets
-    np.testing.assert_array_equal(together[1], walk(GAIT, times[1], AHEAD).targets)
-    np.testing.assert_allclose(walk(GAIT, times + GAIT.period, AHEAD).targets, together, atol=1e-9)
-
-
 @pytest.mark.parametrize("twist", [[0.3, 0.0, 0.0], [0.0, 0.2, 0.0], [0.1, -0.1, 0.5]])
 def test_standing_feet_stay_on_the_floor_of_a_moving_trunk(twist: list[float]) -> None:
     """In the trunk's frame the floor moves by -(v + w x p); neutral places stand for p."""
@@ -89,12 +82,6 @@ def test_feet_in_the_air_carry_nothing() -> None:
     assert (reference.forces[~reference.contact] == 0.0).all()
     assert (reference.forces[..., 2] >= 0.0).all()
     np.testing.assert_allclose(reference.forces[..., 2].sum(axis=-1), WEIGHT)
-
-
-def test_commands_and_times_broadcast() -> None:
-    twists = np.zeros((7, 1, 3))
-    assert walk(GAIT, np.zeros(5), twists).targets.shape == (7, 5, 12)
-    assert walk(standing(GAIT), np.zeros(5), twists, np.zeros((7, 1, 2))).forces.shape == (7, 5, 4, 3)
 
 
 def test_a_gait_that_cannot_be_is_refused() -> None:

@@ -31,8 +31,7 @@ from amhe_cli.robots.go1.link.packets import SERVO, LinkError, decode_state, enc
 from amhe_cli.robots.go1.link.process import SENDER, Child, Clock, Pipe, take_priority, ticks_ahead
 from amhe_cli.robots.go1.link.sender import RobotSocket, Sender, Share, connected
 from amhe_cli.robots.go1.settings import Go1Settings
-from tests.robots.go1.link.makers import FOLDED, a_state
-from tests.robots.go1.link.puppet import Puppet, damps
+from tests.robots.go1.link.puppet import FOLDED, Puppet, a_state, damps
 
 ROOT = Path(__file__).parents[4]
 #: As fast as the settings allow; the machine under the tests is slow, so be patient with states.

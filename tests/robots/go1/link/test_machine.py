@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from copy import deepcopy
-from dataclasses import replace
+from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from amhe_cli.robots.go1.emulator.ports import Faults
 from amhe_cli.robots.go1.kinematics import HOME, TORQUE_LIMIT
 from amhe_cli.robots.go1.link.machine import TRIPS, Machine
 from amhe_cli.robots.go1.link.mail import HIGHEST, LOWEST, Inbox, Phase, Sent, Targets, allowed
 from amhe_cli.robots.go1.link.packets import SERVO, MotorCommand, pressing
 from amhe_cli.robots.go1.link.sender import next_tick
-from amhe_cli.robots.go1.model import layout, planner_model
-from amhe_cli.robots.go1.settings import Go1Settings
-from tests.robots.go1.link.makers import FOLDED, a_state
+from amhe_cli.robots.go1.settings import Go1Settings, TripSettings
+from tests.robots.go1.link.puppet import FOLDED, a_state
 
 TICK = 0.002
 
@@ -341,15 +343,6 @@ def test_a_joint_outside_of_its_limits_is_led_back_by_no_more_torque() -> None:
     assert (targets[2::3] < LOWEST[2::3]).all()
 
 
-def test_the_gains_are_those_of_the_planners_model() -> None:
-    """Of other gains an identification makes another box, and the planner another motion."""
-    model, got = planner_model(), running().step()
-    at = layout(model)
-    np.testing.assert_allclose(got.kp, model.actuator_gainprm[at.servos, 0])
-    servos = -model.actuator_biasprm[at.servos, 2]
-    np.testing.assert_allclose(got.kd, servos + model.dof_damping[at.joints_v])
-
-
 @pytest.mark.parametrize(
     ("late", "pause"), [(0.0, 0.002), (0.0005, 0.0015), (0.0019, 0.001), (0.002, 0.001), (0.1, 0.001)]
 )
@@ -374,3 +367,20 @@ def test_plans_are_smooth_and_not_late_on_average() -> None:
     np.testing.assert_allclose(played, (times - 10.01) / 0.02, atol=1e-9)
     assert plan.at(9.0)[0] == 0.0
     assert plan.at(20.0)[0] == 7.0
+
+
+PAGE = (Path(__file__).parents[4] / "docs" / "go1.md").read_text(encoding="utf-8")
+
+
+def test_every_trip_and_every_threshold_is_explained() -> None:
+    rows = dict(re.findall(r"^\| `(\w+)` \|.*\| ([^|]+) \|$", PAGE, re.MULTILINE))
+    for name, (_, then) in TRIPS.items():
+        assert rows[name].startswith("damp" if then == Phase.DAMP else "hold"), name
+    for name in TripSettings.model_fields:
+        assert f"`{name}`" in PAGE, name
+
+
+def test_every_fault_is_explained() -> None:
+    section = PAGE.split("## What can go wrong on the emulator")[1].split("\n## ")[0]
+    documented = set(re.findall(r"`(\w+)`", section.split("| sort |")[1]))
+    assert documented == {fault.name for fault in fields(Faults)}

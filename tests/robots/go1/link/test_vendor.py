@@ -24,7 +24,7 @@ from amhe_cli.robots.go1.link.packets import (
     pressing,
     seal,
 )
-from tests.robots.go1.link.makers import a_state
+from tests.robots.go1.link.puppet import a_state
 
 sdk = pytest.importorskip(
     "unitree_legged_sdk.robot_interface",

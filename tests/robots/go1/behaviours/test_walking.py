@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from amhe_cli.core import rotations
 from amhe_cli.core.rotations import yaw_of
+from amhe_cli.robots.go1.behaviours.gait import Gait, neutral_feet, walk
 from amhe_cli.robots.go1.behaviours.objective import BUMPER, Course, Reference, wrapped
-from amhe_cli.robots.go1.behaviours.walking import Helm, Insisting, Retreat, Steering
+from amhe_cli.robots.go1.behaviours.walking import Helm, Insisting, Pacing, Retreat, Steering, Stepping
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.model import Box, home, layout, plant_model
 from amhe_cli.robots.go1.state import Body, State
@@ -121,14 +122,6 @@ def test_beside_the_path_it_heads_back(left: float, sign: float, progress: float
         assert float(wrapped(at.box_yaw - at.heading)) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_the_heading_back_has_a_limit() -> None:
-    steering = Steering()
-    at = helm().reference(along(LINE, 1.0, astray=5.0))
-    assert at.heading == pytest.approx(-steering.path_limit)
-    assert abs(at.offset) == pytest.approx(steering.offset_limit)
-    assert abs(at.yaw) == pytest.approx(steering.yaw_limit)
-
-
 @pytest.mark.parametrize("curvature", [0.5, -0.5])
 def test_in_a_bend_the_references_turn_with_the_path(curvature: float) -> None:
     path = Course((0.6, 0.0), 0.0, 4.0, curvature)
@@ -154,17 +147,6 @@ def test_a_box_that_turns_as_it_is_pushed_comes_to_its_path(path: Course, left: 
     assert abs(float(path.place(state.box.position[:2]).left)) < 0.05
 
 
-def test_before_it_touches_the_box_is_not_asked_to_move() -> None:
-    touching = Steering().touching
-    assert helm().reference(along(LINE, 1.0, gap=0.9 * touching)).pushing == 1.0
-    assert helm().reference(along(LINE, 1.0, gap=1.1 * touching)).pushing == 0.0
-
-
-def test_the_gap_is_seen_along_the_box() -> None:
-    gap, left = helm().gap(behind(2.0, 1.0, 0.7, gap=0.03, left=-0.05, lead=0.2))
-    assert (gap, left) == pytest.approx((0.03, -0.05))
-
-
 @pytest.mark.parametrize(
     "lost", [{"left": HALF_WIDTH + 0.05}, {"left": -HALF_WIDTH - 0.05}, {"lead": 0.8}, {"lead": -0.8}]
 )
@@ -183,20 +165,6 @@ def test_a_lost_face_is_left_and_found_again(lost: dict[str, float]) -> None:
     assert not pilot.retreating and at.speed > 0.0
     at = pilot.reference(along(LINE, 1.0))
     assert not pilot.retreating and at.pushing == 1.0
-
-
-def test_a_bumper_within_the_face_does_not_retreat() -> None:
-    pilot = helm()
-    for left in (-0.9 * HALF_WIDTH, 0.9 * HALF_WIDTH):
-        assert pilot.reference(along(LINE, 1.0, left=left)).speed > 0.0
-    assert pilot.reference(along(LINE, 1.0, lead=0.9 * Retreat().lost_turn)).speed > 0.0
-
-
-@FEW
-@given(progress=st.floats(-0.5, 3.5))
-def test_the_speed_asked_for_tapers_to_nothing(progress: float) -> None:
-    expected = SPEED * min(1.0, max(0.0, (3.0 - progress) / 0.2))
-    assert helm().on_path(along(LINE, progress)).speed == pytest.approx(expected, abs=1e-12)
 
 
 def test_the_planner_s_aim_creeps_to_the_goal_and_ends_there() -> None:
@@ -264,3 +232,73 @@ def test_a_box_that_stands_is_pushed_harder_until_it_moves() -> None:
     pushed = [still.reference(replace(along(LINE, 1.0), time=0.02 * cycle)) for cycle in range(150)]
     assert pushed[-1].harder > 0.3
     assert pushed[-1].speed > 1.3 * pushed[0].speed
+
+
+PERIOD = 0.02
+
+
+def paced(pacing: Pacing, efficiency: float, seconds: float, pulse: float = 0.0, start: float = 0.0) -> float:
+    """Share asked for by the end, of a robot that reaches so much of what it is asked, in pulses."""
+    for k in range(round(seconds / PERIOD)):
+        time = start + k * PERIOD
+        reached = efficiency * (1.0 + pacing.share) + pulse * np.sin(2.0 * np.pi * time / 0.4)
+        pacing.update(time, 1.0 - reached)
+    return pacing.share
+
+
+def test_a_slow_robot_is_asked_for_more_until_it_is_nearly_fast_enough() -> None:
+    pacing = Pacing()
+    share = paced(pacing, 0.75, 30.0)
+    assert 0.75 * (1.0 + share) == pytest.approx(1.0 - pacing.free, abs=0.01)
+    assert paced(Pacing(), 0.3, 60.0) == Pacing().limit
+
+
+def test_the_pulse_of_a_trot_is_no_missing_speed() -> None:
+    assert abs(paced(Pacing(), 0.98, 20.0, pulse=0.4)) < 0.01
+
+
+def test_what_was_asked_too_much_is_taken_back() -> None:
+    pacing = Pacing(share=0.2)
+    assert paced(pacing, 1.0, 20.0) < 0.02
+
+
+def test_a_pause_counts_for_nothing() -> None:
+    pacing = Pacing()
+    pacing.update(0.0, 1.0)
+    pacing.update(1000.0, 1.0)
+    assert pacing.share < 0.01
+
+
+STANDS = np.array([True, False, False, True])
+
+
+def after(stepping: Stepping, drift: float, steps: int = 20) -> np.ndarray:
+    for k in range(steps):
+        left = stepping.update(0.02 * k, drift, STANDS)
+    return left
+
+
+def test_a_flying_foot_goes_to_the_side_of_the_drift_and_a_standing_one_stays() -> None:
+    left = after(Stepping(gain=0.1), 0.3)
+    np.testing.assert_allclose(left[~STANDS], 0.03, rtol=1e-3)
+    np.testing.assert_array_equal(left[STANDS], 0.0)
+
+
+def test_what_a_foot_landed_with_it_keeps() -> None:
+    stepping = Stepping(gain=0.1)
+    landed = after(stepping, 0.3)
+    later = stepping.update(0.5, -0.3, np.ones(4, dtype=bool))
+    np.testing.assert_array_equal(later, landed)
+
+
+@given(st.floats(-50.0, 50.0))
+def test_never_further_than_the_limit(drift: float) -> None:
+    stepping = Stepping()
+    assert np.abs(after(stepping, drift)).max() <= stepping.limit
+
+
+def test_the_gait_puts_its_feet_there() -> None:
+    gait, left = Gait(), np.array([0.0, 0.02, -0.01, 0.05])
+    there, neutral = walk(gait, 0.1, np.zeros(3), left=left), walk(gait, 0.1, np.zeros(3))
+    np.testing.assert_allclose(there.feet - neutral.feet, np.outer(left, [0.0, 1.0, 0.0]), atol=1e-12)
+    assert neutral_feet(gait)[1, 1] == pytest.approx(neutral.feet[1, 1])
