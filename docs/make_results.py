@@ -13,7 +13,7 @@ import re
 import sys
 from pathlib import Path
 
-from amhe_cli.report.study.files import write_study
+from amhe_cli.report.study.page import write_study
 from amhe_cli.robots.go1.run import MODES
 from amhe_cli.robots.go1.tasks import TASKS
 from amhe_cli.study.store import Store, open_store

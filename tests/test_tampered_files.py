@@ -87,7 +87,7 @@ def test_a_changed_cell(study: Store, change: str) -> None:
 
 
 def test_a_measure_that_is_no_number(study: Store) -> None:
-    from amhe_cli.report.study.files import write_study
+    from amhe_cli.report.study.page import write_study
 
     [path] = (study.folder / "cells").iterdir()
     content = json.loads(path.read_text())
@@ -98,12 +98,12 @@ def test_a_measure_that_is_no_number(study: Store) -> None:
 
 
 def test_an_unknown_machine_is_no_reason_to_fail(study: Store, monkeypatch: pytest.MonkeyPatch) -> None:
-    from amhe_cli.report.study import files
+    from amhe_cli.report.study import page
 
-    monkeypatch.setattr(files, "drawn", lambda *of: [])
+    monkeypatch.setattr(page, "drawn", lambda *of: [])
     path = study.folder / "study.json"
     written(path, json.loads(path.read_text()) | {"machine": {}, "code": {}})
-    files.write_study(open_store(study.folder), FLOORS, MODES)
+    page.write_study(open_store(study.folder), FLOORS, MODES)
     assert "Python –" in (study.folder / "report.html").read_text()
 
 

@@ -1,4 +1,4 @@
-"""What a command needs at a real robot: options, the operator's keys, the walk from lying to running."""
+"""What a command needs at a real robot; `amhe calibrate` and `amhe emulate`, which need nothing else."""
 
 from __future__ import annotations
 
@@ -7,16 +7,19 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
-from amhe_cli.cli.command import Given, Option, flag, in_panel, option
-from amhe_cli.cli.kinds import WholeNumber
-from amhe_cli.cli.session import Session
+from amhe_cli.cli import options
+from amhe_cli.cli.command import Given, Option, command, flag, in_panel, option
+from amhe_cli.cli.kinds import PORT, WholeNumber
+from amhe_cli.cli.session import Session, stopping
 
 if TYPE_CHECKING:
     from amhe_cli.core.errors import AmheError, Ending
     from amhe_cli.live.recorder import Recorder
     from amhe_cli.robots.go1.judge import History
+    from amhe_cli.robots.go1.link.calibration import Offsets
     from amhe_cli.robots.go1.link.open import WireOptions
     from amhe_cli.robots.go1.run import Run
+
 
 POSES = ("natnet", "motioncapture", "udp")
 #: Of the attributes of a terminal: flags of its input, the keys that mean something to it, and none of them.
@@ -225,3 +228,131 @@ def _unseen_keys() -> Iterator[None]:
     finally:
         with suppress(termios.error):  # it has been closed
             termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
+
+
+#: The file of settings that is written.
+SETTINGS = "offsets.yaml"
+
+
+@command(
+    "Offsets of the rigid bodies on a real robot and its box.",
+    options.task("Whose box it is, and where it is put down."),
+    REACH,
+    options.seconds("How long each body is looked at.", 2.0, min=0.5, max=60, min_open=False),
+    flag("--yes", "Robot and box are in place: ask nothing."),
+    options.tuning,
+    options.output,
+)
+def calibrate(session: Session, given: Given) -> None:
+    """Find go1.trunk_offset and go1.box_offset from robot and box that you put where it says.
+
+    Writes offsets.yaml, for --config of `amhe run` and `amhe probe`, and result.json. The robot must be in
+    low-level mode (docs/go1.md); its joints and its IMU tell how it lies. Nothing moves.
+    """
+    from amhe_cli.core.files import filling, json_text
+    from amhe_cli.robots.go1.link.open import open_calibration
+    from amhe_cli.robots.go1.run import RunOptions
+
+    reached = wire_of("go1", given)
+    assert reached is not None
+    chosen = RunOptions(given.task, target="go1", settings=given.overrides.all)
+    calibration = open_calibration(chosen, reached)
+    folder = given.reserve()
+    with calibration:
+        found = calibration.offsets(_asking(session, given.yes), given.seconds)
+    text = _settings(found)
+    record = session.record(
+        task=given.task, trunk_offset=found.trunk, box_offset=found.box, trunk_height_m=found.height,
+        trunk_tilt_rad=found.tilt, out=str(folder),
+    )  # fmt: skip
+    with filling(folder) as scratch:
+        (scratch / SETTINGS).write_text(text, encoding="utf-8")
+        (scratch / "result.json").write_text(json_text(record), encoding="utf-8")
+    if not session.gave(record):
+        print(text, end="")
+        print(f"next: amhe run --task {given.task} --target go1 --dry-run --config {folder / SETTINGS}")
+
+
+def _asking(session: Session, ready: bool) -> Callable[[str], None]:
+    """Tell the operator what to do, and wait for Enter; where everything is ready, only tell."""
+    from amhe_cli.core.errors import ConfigError
+
+    def ask(text: str) -> None:
+        session.say("", text if ready else f"{text}; then press Enter")
+        if not ready:
+            try:
+                input()
+            except EOFError:
+                raise ConfigError("nobody is there to press Enter; give --yes once all is in place") from None
+
+    return ask
+
+
+def _settings(found: Offsets) -> str:
+    """As YAML, to 0.1 mm and 0.01 degrees."""
+    rows = [
+        f"  {name}: [{', '.join(f'{value:.4f}' for value in offset)}]\n"
+        for name, offset in (("trunk_offset", found.trunk), ("box_offset", found.box))
+    ]
+    return "# place [m] and rotation vector [rad] in the rigid body's frame\ngo1:\n" + "".join(rows)
+
+
+MOCAP = ("natnet", "udp", "none")
+
+
+@command(
+    "A Go1 and its motion capture, emulated on this computer.",
+    options.task("Whose box to put down."),
+    option("--host ADDRESS", "To listen on.", default="127.0.0.1"),
+    option("--port", "Of the robot.", PORT, default=8007),
+    option("--mocap", "Its cameras' protocol.", MOCAP, default="natnet"),
+    option(
+        "--mocap-port",
+        "natnet: where Motive listens; udp: where poses are sent to.  [default: 1510 or 1512]",
+        PORT,
+    ),
+    option(
+        "--fault NAME=V,...", "What goes wrong, such as loss=0.02,after=5,hot=20 (docs/go1.md).", default=""
+    ),
+    options.seed,
+    options.tuning,
+)
+def emulate(session: Session, given: Given) -> None:
+    """Emulate a Go1 in low-level mode, lying before the task's box, until interrupted.
+
+    It speaks the robot's own UDP protocol, with MuJoCo physics behind it, and streams the poses of "go1" and
+    "box" as motion capture does. Try `amhe run --target go1 --host 127.0.0.1` on it. Of the settings that
+    `amhe run` takes, boxes.box makes the box another one, go1.trunk, go1.box, go1.trunk_offset and
+    go1.box_offset the rigid bodies, go1.crc the checksums, and go1.slow the pace: the same --config suits
+    both.
+    """
+    from amhe_cli.robots.go1.emulator.emulator import Emulator, EmulatorOptions
+    from amhe_cli.robots.go1.emulator.ports import parse_faults
+    from amhe_cli.robots.go1.link.process import ROBOT, take_priority
+    from amhe_cli.robots.go1.poses.sources import NATNET_PORT, UDP_PORT
+    from amhe_cli.robots.go1.run import RunOptions, task_and_system
+    from amhe_cli.robots.go1.settings import settings_of
+
+    mocap, mocap_port = given.mocap, given.mocap_port
+    chosen = RunOptions(given.task, target="go1", settings=given.overrides.all)
+    measured, system = task_and_system(chosen)
+    s = settings_of(system).go1
+    pose_port = mocap_port if mocap_port is not None else {"natnet": NATNET_PORT}.get(mocap, UDP_PORT)
+    emulated = EmulatorOptions(
+        measured, given.host, given.port, mocap, pose_port, parse_faults(given.fault), s.slow, given.seed,
+        (s.trunk, s.box), (s.trunk_offset, s.box_offset),
+        s.crc,
+    )  # fmt: skip
+    with stopping(session) as stopped, Emulator(emulated) as emulator:
+        robot, cameras = emulator.address, emulator.mocap_address
+        seen = f", motion capture on {cameras[0]}:{cameras[1]}" if cameras else ""
+        session.say("", f"a Go1 before the box of {given.task} on {robot[0]}:{robot[1]}{seen}; Ctrl-C ends")
+        take_priority(ROBOT)  # a robot does not wait for whoever plans on the same computer
+        emulator.serve(stopped)
+        accepted, rejected = emulator.counts
+        lag = (
+            f"; this computer was {emulator.lag:.1f} s too slow: larger `go1.slow`, or no other emulator"
+            if emulator.lag > 0.05
+            else ""
+        )
+        session.say("", f"{accepted} commands, {rejected} damaged datagrams{lag}")

@@ -129,7 +129,7 @@ def _outcome(result: CellResult) -> str:
 
 def _tell(session: Session, store: Store, left: int) -> None:
     """Write and print what the cells say; fail where some brought nothing."""
-    from amhe_cli.report.study.files import write_study
+    from amhe_cli.report.study.page import write_study
     from amhe_cli.report.tables import rich_table
     from amhe_cli.robots.go1.run import MODES
     from amhe_cli.robots.go1.tasks import TASKS as ALL

@@ -16,22 +16,18 @@ from io import TextIOWrapper
 import click
 
 from amhe_cli.cli import about
+from amhe_cli.cli.at_the_robot import calibrate, emulate
 from amhe_cli.cli.audit import audit
-from amhe_cli.cli.calibrate import calibrate
+from amhe_cli.cli.beliefs import export, pool
 from amhe_cli.cli.check import check
 from amhe_cli.cli.command import COMMON_OPTIONS
 from amhe_cli.cli.compare import compare
-from amhe_cli.cli.convert import convert
-from amhe_cli.cli.drives import drives
-from amhe_cli.cli.emulate import emulate
 from amhe_cli.cli.eval import evaluate
 from amhe_cli.cli.explain import explain
-from amhe_cli.cli.export import export
 from amhe_cli.cli.identify import identify
-from amhe_cli.cli.init import init
-from amhe_cli.cli.inspect import inspect
+from amhe_cli.cli.init import drives, init
+from amhe_cli.cli.logs import convert, inspect
 from amhe_cli.cli.mhe_replay import mhe_replay
-from amhe_cli.cli.pool import pool
 from amhe_cli.cli.probe import probe
 from amhe_cli.cli.record import record
 from amhe_cli.cli.run import run as run_task

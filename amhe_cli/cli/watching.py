@@ -89,7 +89,7 @@ def watching_windows(
         start: Values of the first belief, shape (d,).
         about: Where the samples come from, in words.
     """
-    from amhe_cli.view.windows import WindowsShown
+    from amhe_cli.view.live import WindowsShown
 
     with WindowsShown(system, start, about) as page:
         announce(session, page.server)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from amhe_cli.core.errors import printable
@@ -68,7 +68,7 @@ def system_text(
         "",
         "# noise: standard deviation of the measurement [SI]; null: it sets the state and is not compared.",
         "signals:",
-        *(f"  {_line(guess)}" for guess in guesses),
+        *(line for guess in guesses for line in _signal(guess)),
         *(f"  # {printable(line)}" for skeleton in skeletons for line in (_SKELETON, *skeleton)),
         *(_GEARED if geared else ()),
         *(line for line in ("settings:", "  identify:", f"    geared: {flow(list(geared))}") if geared),
@@ -77,7 +77,16 @@ def system_text(
 
 
 def _line(guess: Guess) -> str:
-    """One entry on one line, with its source and reason."""
+    """A parameter on one line, with its source and reason."""
+    return f"{flow({guess.name: guess.entry})[1:-1]}  # {_why(guess)}"
+
+
+def _signal(guess: Guess) -> Iterator[str]:
+    """A signal, a line for each key: these are completed by hand."""
+    yield f"  {flow(guess.name)}:  # {_why(guess)}"
     entry = guess.entry | ({"noise": guess.noise} if guess.noise else {})
-    source = GUESS if guess.source == "guess" else guess.source
-    return f"{flow({guess.name: entry})[1:-1]}  # {source}: {printable(guess.why)}"
+    yield from (f"    {key}: {flow(value)}" for key, value in entry.items())
+
+
+def _why(guess: Guess) -> str:
+    return f"{GUESS if guess.source == 'guess' else guess.source}: {printable(guess.why)}"

@@ -1,4 +1,4 @@
-"""A comparison of models: a table for the terminal, result.json and report.html."""
+"""Several models compared, or several beliefs pooled: tables, result.json and report.html."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from amhe_cli.core.belief import Belief
 from amhe_cli.core.files import json_text, plain
+from amhe_cli.estimation.core.agreement import Agreement
 from amhe_cli.estimation.core.result import AtHorizon, Identification
 from amhe_cli.estimation.validation.comparison import FEWEST, Compared
 from amhe_cli.report import numbers
@@ -174,3 +176,83 @@ def table_text(table: Table) -> str:
     console = PlainConsole(record=True, file=io.StringIO(), width=110, force_jupyter=False)
     console.print(rich_table(table))
     return console.export_text().rstrip("\n")
+
+
+#: Beliefs that have a column of their own.
+_SHOWN = 4
+
+
+def pool_table(
+    sources: Sequence[str],
+    beliefs: Sequence[Belief],
+    pooled: Belief,
+    differences: Sequence[tuple[str, str, str, float]],
+) -> Table:
+    """Each parameter in each belief and in the pooled one, and the two that differ most.
+
+    Args:
+        sources, beliefs: Paths or names of the beliefs, and the beliefs.
+        pooled: What they say together.
+        differences: Parameter, the two sources that differ most, and by how many sd.
+    """
+    shown = list(zip(sources, beliefs, strict=True)) if len(beliefs) <= _SHOWN else []
+    farthest = {name: (one, other, size) for name, one, other, size in differences}
+    rows = [
+        (
+            name,
+            *(_with_sd(belief, name) for _, belief in shown),
+            _with_sd(pooled, name),
+            unit if unit != "-" else "",
+            f"{farthest[name][2]:.1f} sd",
+            *(() if len(beliefs) == 2 else (" and ".join(map(_short, farthest[name][:2])),)),
+        )
+        for name, unit in zip(pooled.names, pooled.units, strict=True)
+    ]
+    between = () if len(beliefs) == 2 else ("between",)
+    head = (
+        "parameter",
+        *(_short(source) for source, _ in shown),
+        "pooled ± sd",
+        "unit",
+        "differ by",
+        *between,
+    )
+    looks = ("", *(NUMBER for _ in shown), STRONG, "", NUMBER, *("" for _ in between))
+    return Table(head, looks, rows)
+
+
+def pool_record(
+    sources: Sequence[str],
+    pooled: Belief,
+    found: Agreement,
+    differences: Sequence[tuple[str, str, str, float]],
+) -> dict[str, Any]:
+    """The keys of `amhe pool --json`."""
+    return plain(
+        {
+            "beliefs": sources,
+            "chi_square": found.chi_square,
+            "freedom": found.freedom,
+            "chance": found.chance,
+            "parameters": [
+                {"name": name, "estimate": estimate, "sd": sd}
+                for name, estimate, sd in zip(pooled.names, pooled.estimate, pooled.sd, strict=True)
+            ],
+            "differences": [
+                {"name": name, "between": [one, other], "sd": size} for name, one, other, size in differences
+            ],
+        }
+    )
+
+
+def _with_sd(belief: Belief, name: str) -> str:
+    if name not in belief.names:
+        return numbers.MISSING
+    row = belief.names.index(name)
+    return numbers.with_sd(float(belief.estimate[row]), float(belief.sd[row]))
+
+
+def _short(source: str) -> str:
+    """'monday' of monday/belief.yaml."""
+    path = Path(source)
+    return path.parent.name if path.name == "belief.yaml" and path.parent.name else path.stem

@@ -1,22 +1,25 @@
-"""A run in sentences, on a page and on a terminal, and the files of `amhe run` besides its log."""
+"""A run in sentences and figures, on a page and on a terminal, and its files besides the log."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
+import numpy as np
+from markupsafe import Markup
 from rich.console import Console
 from rich.text import Text
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.files import json_text
-from amhe_cli.core.shown import Floor
-from amhe_cli.report import numbers, run_figures
+from amhe_cli.core.shown import Floor, outline
+from amhe_cli.report import numbers
 from amhe_cli.report.folder import write_page
 from amhe_cli.report.page import Section, Statement, Tone, print_statements, result_page
 from amhe_cli.report.tables import STRONG, Table, rich_table
+from amhe_cli.web.plots import Curve, Mark, Panel, figure
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -210,11 +213,9 @@ def _sections(
     task: TaskFacts, columns: Mapping[str, FloatArray], record: Mapping[str, Any]
 ) -> Iterator[Section]:
     if columns:
-        yield Section(
-            "From above", text="; ".join(task.changes), figure=run_figures.path_figure(columns, task.floor)
-        )
-        yield Section("Motion", figure=run_figures.motion_figure(columns))
-        yield Section("Belief", figure=run_figures.belief_figure(columns, task.units))
+        yield Section("From above", text="; ".join(task.changes), figure=path_figure(columns, task.floor))
+        yield Section("Motion", figure=motion_figure(columns))
+        yield Section("Belief", figure=belief_figure(columns, task.units))
     states = (
         "All numbers are computed from the true states of the simulation, which the controller never sees."
         if record["truth"]
@@ -227,3 +228,78 @@ def _sections(
         note=f"{states} J is the sum of the running cost at 50 Hz; if the box does not arrive, its last "
         "value is charged until the task's time is over.",
     )
+
+
+Columns: TypeAlias = Mapping[str, FloatArray]
+
+#: Outlines of the box along its path.
+_OUTLINES = 5
+
+
+def path_figure(c: Columns, floor: Floor) -> Markup:
+    """From above: the path and the goal, and the tracks of box and robot, or of the foot that pushes."""
+    rows = np.linspace(0, c["time"].size - 1, _OUTLINES).astype(int)
+    boxes = [
+        outline(np.array([c["box_x"][row], c["box_y"][row]]), float(c["box_yaw"][row]), floor.footprint)
+        for row in rows
+    ]
+    goal = outline(floor.path[-1], floor.goal_yaw, floor.footprint)
+    lines = [
+        Curve(floor.path[:, 0], floor.path[:, 1], "path", "soft", "dashed"),
+        *(Curve(*box, "", "amber", "area") for box in boxes),
+        Curve(*goal, "goal of the box", "green", "area"),
+        Curve(c["trunk_x"], c["trunk_y"], "robot", "after"),
+        Curve(c["box_x"], c["box_y"], "box", "amber"),
+    ]
+    lines += [Curve(c["foot_x"], c["foot_y"], "front right foot", "ink")] if floor.one_leg else []
+    other = [] if floor.other_floor is None else [(floor.other_floor, max(one.x.max() for one in lines))]
+    marks = [Mark(ends, "other floor", "good") for ends in other] + [Mark(x, "change") for x in floor.marks]
+    return figure([Panel("y [m]", lines, x="x [m]", marks=marks, equal=True)], 1)
+
+
+def motion_figure(c: Columns) -> Markup:
+    """Over time: speed and command, distance from the goal, distance from the path."""
+    time, marks = c["time"], list(_changes(c))
+    speed = [
+        Curve(time, c["speed"], "robot"),
+        Curve(time, c["command"], "commanded speed", "before", "dashed"),
+    ]
+    goal, left = (Curve(time, values, "box", "amber") for values in (c["to_goal"], 1e3 * c["left"]))
+    return figure(
+        [
+            Panel("forward speed of the robot", speed, "m/s", marks=marks),
+            Panel("box from the goal", [goal], "m", marks=marks, low=0.0),
+            Panel("box left of its path", [left], "mm", marks=[*marks, Mark(0.0, axis="y")]),
+        ]
+    )
+
+
+def belief_figure(c: Columns, units: Mapping[str, str]) -> Markup:
+    """Each parameter over time, as the controller believed it and as it was."""
+    panels, time = [], c["time"]
+    for name in (key.removeprefix("belief/") for key in c if key.startswith("belief/")):
+        believed, true = c[f"belief/{name}"], c.get(f"truth/{name}")
+        band = (c[f"lower/{name}"], c[f"upper/{name}"]) if f"lower/{name}" in c else None
+        lines = [] if true is None else [Curve(time, true, "true", "ink", "step")]
+        lines.append(
+            Curve(
+                time,
+                believed,
+                "believed, with its 90 % interval" if band else "believed",
+                "after",
+                "step",
+                band,
+            )
+        )
+        highest = max(float(np.nanmax(one.y)) for one in lines)
+        most = 2.0 * highest if band and np.nanmax(band[1]) > 2.0 * highest else None
+        panels.append(Panel(name, lines, numbers.unit_of(units.get(name, "")), low=0.0, high=most))
+    return figure(panels)
+
+
+def _changes(c: Columns) -> Iterator[Mark]:
+    """A dotted line wherever a true parameter changes."""
+    for name, values in c.items():
+        if name.startswith("truth/"):
+            for row in np.flatnonzero(np.diff(values)):
+                yield Mark(float(c["time"][row + 1]), "change of box or floor")

@@ -40,7 +40,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests of other things: figures take seconds."""
-    monkeypatch.setattr("amhe_cli.report.study.files.drawn", lambda *of: [])
+    monkeypatch.setattr("amhe_cli.report.study.page.drawn", lambda *of: [])
 
 
 def cells_of(folder: Path) -> dict[str, object]:

@@ -10,7 +10,7 @@ from click.shell_completion import CompletionItem
 from amhe_cli.cli.main import run
 from amhe_cli.core.errors import printable
 from amhe_cli.logs import LogWriter
-from amhe_cli.report.study.formats import StudyTable, markdown
+from amhe_cli.report.study.tables import StudyTable, markdown
 from amhe_cli.web.page import template
 from tests.conftest import MODELS, write_pendulum_log
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from amhe_cli.report.study import formats, tables
+from amhe_cli.report.study import tables
 from amhe_cli.report.study.figures import drawn, one_leg_figure, over_time, since_change
 from amhe_cli.report.study.page import study_page
 from amhe_cli.robots.go1.tasks import TASKS
@@ -34,7 +34,7 @@ def groups() -> Groups:
     return Groups([result(cell, worse[cell.mode]) for cell in cells], (), tuple(TASKS), MODES)
 
 
-def made(groups: Groups, name: str) -> formats.StudyTable:
+def made(groups: Groups, name: str) -> tables.StudyTable:
     every = tables.tables(groups, ablations(groups, DEFAULTS), goals(groups))
     return next(table for table in every if table.name == name)
 
@@ -98,16 +98,16 @@ def test_the_operating_point_of_an_ablation_is_marked(groups: Groups) -> None:
 @pytest.mark.parametrize("name", ["table1", "table2", "measures", "differences", "goals", "ablations"])
 def test_every_form_holds_every_row(groups: Groups, name: str) -> None:
     table = made(groups, name)
-    assert formats.markdown(table).count("\n| ") == len(table.rows) + 2
-    tex = formats.latex(table)
+    assert tables.markdown(table).count("\n| ") == len(table.rows) + 2
+    tex = tables.latex(table)
     assert tex.count(r" \\") == len(table.rows) + 1 and not set("±≤≥–−×") & set(tex)
     assert not [line for line in tex.splitlines() if "_" in line.replace(r"\_", "") and "label" not in line]
     assert list(table.table.rows) == list(table.rows) and len(table.table.looks) == len(table.head)
-    assert len(list(csv.DictReader(io.StringIO(formats.comma_separated(table))))) == len(table.records)
+    assert len(list(csv.DictReader(io.StringIO(tables.comma_separated(table))))) == len(table.records)
 
 
 def test_numbers_of_the_csv_are_not_rounded(groups: Groups) -> None:
-    rows = csv.DictReader(io.StringIO(formats.comma_separated(made(groups, "table1"))))
+    rows = csv.DictReader(io.StringIO(tables.comma_separated(made(groups, "table1"))))
     cost = next(row for row in rows if (row["mode"], row["measure"]) == ("adaptive", "cost"))
     assert float(cost["mean"]) == pytest.approx(1040.0)
     assert float(cost["paper_mean"]) == 51000.0

@@ -21,7 +21,7 @@ def pages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     spec.loader.exec_module(script)
     monkeypatch.setattr(script, "STUDIES", tmp_path / "results")
     monkeypatch.setattr(script, "PAGE", tmp_path / "page.md")
-    monkeypatch.setattr("amhe_cli.report.study.files.drawn", lambda *of: [])
+    monkeypatch.setattr("amhe_cli.report.study.page.drawn", lambda *of: [])
     return script
 
 

@@ -20,10 +20,9 @@ from amhe_cli.core.log import Window
 from amhe_cli.core.shown import TimeCurve
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import MovingHorizon
-from amhe_cli.view.live import Broadcast, Happening, StatesShown
+from amhe_cli.view.live import Broadcast, Happening, StatesShown, WindowsShown
 from amhe_cli.view.page import Heading
 from amhe_cli.view.scene import scene_of
-from amhe_cli.view.windows import WindowsShown
 from tests.view.browser import browser, needs_chromium
 
 
