@@ -19,6 +19,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.files import plain
 from amhe_cli.core.log import Window
+from amhe_cli.core.shown import TimeCurve
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import Estimate, usable
 from amhe_cli.system.system import System
