@@ -22,7 +22,6 @@ from amhe_cli.core.statistics import correlation
 from amhe_cli.core.yaml_file import merged
 from amhe_cli.estimation.core.result import Identification, Iteration
 from amhe_cli.estimation.identification import IdentifyOptions, Search, concluded, searched_for
-from amhe_cli.estimation.uncertainty.fit import final_fit
 from amhe_cli.init.folder import Proposal
 from amhe_cli.system.system import System
 
@@ -138,7 +137,7 @@ def audit(
         raise ConfigError("the model says no number of a joint that the log measures")
     doubts, logs = doubts_of(proposal), tuple[Log, ...]()
 
-    def searched(wide: Collection[Group], near: FloatArray | None, clips: int | None) -> Search:
+    def searched(wide: Collection[Group], near: Search | None, clips: int | None) -> Search:
         nonlocal logs
         guesses = [claim.guess(claim.group not in wide) for claim in claims]
         system = replace(proposal, parameters=[*guesses, *doubts]).system(name, settings)
@@ -146,10 +145,9 @@ def audit(
         return searched_for(system, logs, None, options, progress, quick=True, near=near, clips=clips)
 
     # rollouts of all clips take their time, and a few show what is far off
-    search, doubted, near = None, Doubted(), None
+    search, doubted = None, Doubted()
     for clips in (None,) if proposal.match == "effort" else (_FEW, None):
-        search, doubted = _without_suspects(partial(searched, clips=clips), claims, doubted, near)
-        near = search.problem.system.space.theta_of(search.finding.z)
+        search, doubted = _without_suspects(partial(searched, clips=clips), claims, doubted, search)
     assert search is not None
     found, system = concluded(search), search.problem.system
     lines = _lines(system, found, claims, doubted.ever, logs)
@@ -165,10 +163,10 @@ class Doubted:
 
 
 def _without_suspects(
-    searched: Callable[[Collection[Group], FloatArray | None], Search],
+    searched: Callable[[Collection[Group], Search | None], Search],
     claims: Sequence[Claim],
     doubted: Doubted,
-    near: FloatArray | None,
+    near: Search | None,
 ) -> tuple[Search, Doubted]:
     """The search after which no number stands out that is believed, and those that are not.
 
@@ -182,8 +180,7 @@ def _without_suspects(
     for _ in range(_ROUNDS):
         if not suspects:
             break
-        near = search.problem.system.space.theta_of(search.finding.z)
-        tried = searched(wide | {*suspects}, near)
+        tried = searched(wide | {*suspects}, search)
         if _cost(tried) <= (1.0 + _RISES) * _cost(search):
             search, wide, refused = tried, wide | {*suspects}, frozenset()
         elif len(suspects) > 1:
@@ -210,7 +207,7 @@ def _evidence(space: ParameterSpace, phi: FloatArray, information: FloatArray, m
 
 def _sketched(search: Search) -> Findings:
     """What a search says, without the checks of its conclusion."""
-    space, fit = search.problem.system.space, final_fit(search.problem, search.finding)
+    space, fit = search.problem.system.space, search.fit
     scale = np.outer(space.prior_sd, space.prior_sd)
     known = fit.posterior.hessian - fit.posterior.prior
     return _evidence(space, space.phi_of(space.theta_of(fit.z)), known, fit.posterior.covariance * scale)

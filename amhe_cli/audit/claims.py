@@ -13,6 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from amhe_cli.check.model import WORTHWHILE
 from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.init.actuators import zeros
 from amhe_cli.init.drives import delay, measured_joints, moved_by, short
@@ -32,8 +33,6 @@ _ZERO = {"damping": 0.05, "friction_loss": 0.05, "armature": 0.01}
 WIDE, WIDE_LENGTH, WIDE_ZERO = 1.5, 0.15, 1000.0
 #: Bounds of a number, as factors and in units of the sd of zeros, and of a length [m].
 _RANGE, _RANGE_LENGTH = 300.0, 0.5
-#: Share of the mass of what is welded together from which a body has numbers of its own.
-_WORTHWHILE = 0.05
 
 #: Numbers on one data sheet: their kind, and their element or value.
 Group = tuple[str, str]
@@ -154,7 +153,7 @@ def _carried(model: mujoco.MjModel, joints: Collection[str]) -> set[str]:
         above, weld = row, model.body_weldid[row]
         while above and above not in rows:
             above = int(model.body_parentid[above])
-        if above and model.body_mass[row] > _WORTHWHILE * model.body_mass[model.body_weldid == weld].sum():
+        if above and model.body_mass[row] > WORTHWHILE * model.body_mass[model.body_weldid == weld].sum():
             found.add(model.body(row).name)
     return found
 

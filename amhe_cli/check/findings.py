@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+
+#: Findings of one kind that are said each, and names that one finding lists.
+_EACH, _NAMED = 3, 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,13 +33,19 @@ def worst_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     groups: dict[tuple[str, str], list[Finding]] = {}
     for one in findings:
         groups.setdefault((one.kind, one.what), []).append(one)
-    joined = [
-        Finding(one.kind, _joined([other.where for other in alike]), one.what, one.size, one.cure)
-        for alike in groups.values()
-        for one in [max(alike, key=lambda other: other.size)]
-    ]
-    return tuple(sorted(joined, key=lambda one: -one.size))
+    joined = [_together(alike, lambda one: one.what) for alike in groups.values()]
+    kinds: dict[str, list[Finding]] = {}
+    for one in sorted(joined, key=lambda one: -one.size):
+        kinds.setdefault(one.kind, []).append(one)
+    every = [one for alike in kinds.values() for one in alike[:_EACH]]
+    rest = [alike[_EACH:] for alike in kinds.values() if alike[_EACH:]]
+    every += [_together(alike, lambda one: f"likewise; the worst: {one.what}") for alike in rest]
+    return tuple(sorted(every, key=lambda one: -one.size))
 
 
-def _joined(names: list[str]) -> str:
-    return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
+def _together(alike: list[Finding], say: Callable[[Finding], str]) -> Finding:
+    """Findings of one kind as one, of the size and with the cure of the worst."""
+    worst = max(alike, key=lambda one: one.size)
+    names = [one.where for one in alike]
+    where = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
+    return Finding(worst.kind, where, say(worst), worst.size, worst.cure)

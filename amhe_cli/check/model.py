@@ -15,6 +15,10 @@ from amhe_cli.core.arrays import FloatArray, IntArray
 _LEAD, _AIR = 11_340.0, 5.0
 #: A link that moves weighs no less [kg]: a few screws.
 _SCREWS = 3e-3
+#: Share of the mass of what is welded together from which a body has numbers that matter.
+WORTHWHILE = 0.05
+#: A range [rad] that is as good as none, and not one in degrees.
+_UNLIMITED = 1e3
 #: How far a centre of mass may lie outside of the shape, as a share of its size.
 _OUTSIDE = 0.15
 #: Radius of gyration over half the diagonal of the shape: between a point and a ring around it.
@@ -59,19 +63,17 @@ def _name(model: mujoco.MjModel, kind: str, row: int) -> str:
     return getattr(model, kind)(int(row)).name or f"{kind} {row}"
 
 
-def _moving(model: mujoco.MjModel) -> Iterator[int]:
-    return (
-        body for body in range(1, model.nbody) if model.body_weldid[body] != 0 and model.body_mass[body] > 0
-    )
-
-
 def _bodies(model: mujoco.MjModel) -> Iterator[Finding]:
-    for body in _moving(model):
-        name, mass = _name(model, "body", body), float(model.body_mass[body])
-        alone = model.body_weldid[body] == body and model.body_subtreemass[body] == mass
-        if mass < _SCREWS and not alone:
+    """Links that weigh next to nothing, and what moves against its shape, but for small parts of it."""
+    welded = np.bincount(model.body_weldid, model.body_mass, model.nbody)
+    for body in np.flatnonzero(model.body_mass > WORTHWHILE * welded[model.body_weldid]):
+        weld = model.body_weldid[body]
+        if not weld or model.body_mocapid[weld] >= 0:
+            continue
+        if body == weld and welded[weld] < min(_SCREWS, 0.999 * model.body_subtreemass[weld]):
             yield Finding(
-                "light", name, f"it weighs {1e3 * mass:.2g} g, and links hang on it", _SCREWS / mass,
+                "light", _name(model, "body", body),
+                f"it weighs {1e3 * welded[weld]:.2g} g, and links hang on it", _SCREWS / welded[weld],
                 "weigh it, or take the mass of CAD",
             )  # fmt: skip
         box = _box(model, body)
@@ -80,7 +82,10 @@ def _bodies(model: mujoco.MjModel) -> Iterator[Finding]:
 
 
 def _box(model: mujoco.MjModel, body: int) -> FloatArray | None:
-    """Lowest and highest corner of a body's shapes in its frame, shape (2, 3); None where it has none."""
+    """Lowest and highest corner of a body's shapes in its frame, shape (2, 3); None where it has none.
+
+    A link reaches from its joint to those of the links that hang on it, whatever is drawn of it.
+    """
     corners = []
     for geom in np.flatnonzero(model.geom_bodyid == body):
         if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
@@ -92,7 +97,7 @@ def _box(model: mujoco.MjModel, body: int) -> FloatArray | None:
         corners.append((centre + signs * half) @ turn.reshape(3, 3).T + model.geom_pos[geom])
     if not corners:
         return None
-    points = np.concatenate(corners)
+    points = np.concatenate([*corners, np.zeros((1, 3)), model.body_pos[model.body_parentid == body]])
     return np.stack([points.min(axis=0), points.max(axis=0)])
 
 
@@ -165,6 +170,8 @@ def _twins(model: mujoco.MjModel) -> Iterator[Finding]:
     yield from found(
         "body", bodies, {"mass": (model.body_mass, _TWIN_MASS), "inertia [kg m^2]": (inertia, _TWIN)}
     )
+    if not model.nv:
+        return
     joints, dofs = [model.joint(row).name for row in range(model.njnt)], model.jnt_dofadr
     numbers = {
         "damping": (np.reshape(model.dof_damping, (model.nv, -1))[dofs], _TWIN),
@@ -265,8 +272,8 @@ def _limits(model: mujoco.MjModel, joints: IntArray) -> Iterator[Finding]:
                     1.0 + beyond / max(span, 1e-6), "look for degrees, or for another zero",
                 )  # fmt: skip
     for joint in joints:
-        if model.jnt_limited[joint] and np.ptp(model.jnt_range[joint]) > 8.0 * np.pi:
-            width = float(np.ptp(model.jnt_range[joint]))
+        width = float(np.ptp(model.jnt_range[joint]))
+        if model.jnt_limited[joint] and 8.0 * np.pi < width < _UNLIMITED:
             yield Finding(
                 "range", _name(model, "joint", joint), f"its range is {width:.3g} rad", width / (8.0 * np.pi),
                 "look for degrees taken for radians",

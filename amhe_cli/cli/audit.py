@@ -131,8 +131,9 @@ def _print(session: Session, lines: Any, record: dict[str, object], found: Audit
     if session.gave(record | audit_record(lines, found)):
         return
     console, told = session.console(), [one for one in lines if one.verdict != "cannot tell"]
-    console.print_table(rich_table(audit_table(told), STYLES))
-    console.print()
+    if told:
+        console.print_table(rich_table(audit_table(told), STYLES))
+        console.print()
     if found and found.found.missing:
         print_missing(found.found.missing, console)
     for line in audit_text(lines, found, record.get("out")):

@@ -62,13 +62,18 @@ STEPS = 2
 
 
 def conclude(
-    problem: Problem, finding: Finding, validation: list[Window], watch: Watch, model: ParameterSpace
+    problem: Problem,
+    finding: Finding,
+    fit: FinalFit,
+    validation: list[Window],
+    watch: Watch,
+    model: ParameterSpace,
 ) -> Identification:
     """All results of a finished, or interrupted, search.
 
     Args:
         problem: The problem that was searched.
-        finding: Result of the search.
+        finding, fit: Result of the search, and the linearisation there.
         validation: Clips that were not fitted.
         watch: Shows progress, and decides for which of the slow checks there is time: held-out clips from
             fitted first states, the comparison of the logs' halves, what rests on assumed values, a second
@@ -77,7 +82,7 @@ def conclude(
     """
     system = problem.system
     watch.enter("covariance")
-    finding, fit, rival = _best(problem, *_settled(problem, finding, watch), watch)
+    finding, fit, rival = _best(problem, *_settled(problem, finding, fit, watch), watch)
     validation, own = with_own_values(problem, validation, fit.z, fit.shape, fit.scale)
     for text in own:
         logger.log(NOTE, text)
@@ -162,12 +167,11 @@ def _evidence(
     )
 
 
-def _settled(problem: Problem, finding: Finding, watch: Watch) -> tuple[Finding, FinalFit]:
+def _settled(problem: Problem, finding: Finding, fit: FinalFit, watch: Watch) -> tuple[Finding, FinalFit]:
     """The search's result and its linearisation, after the steps that this still shows.
 
     The noise that the last iteration of a search assumed is not yet the one that is left after it.
     """
-    fit = final_fit(problem, finding, watch)
     for _ in range(STEPS):
         short = (np.abs(fit.left) < SETTLED * fit.posterior.sd).all()
         smooth = isinstance(finding, SearchState) and finding.settled and not problem.touches
@@ -188,7 +192,8 @@ def _best(
     rival = second_minimum(problem, finding, fit)
     if rival is not None and rival.share > 0.5:
         there, rival = rival.z, rival.against(fit.z)
-        finding, fit = _settled(problem, better(problem, finding, there, watch), watch)
+        finding = better(problem, finding, there, watch)
+        finding, fit = _settled(problem, finding, final_fit(problem, finding, watch), watch)
     if rival is not None:
         report_minima(problem.system.space, fit.z, rival)
     return finding, fit, rival

@@ -6,10 +6,10 @@ import logging
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
 
-from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief import Belief
 from amhe_cli.core.each_log import named, searched
 from amhe_cli.core.errors import NOTE, ConfigError, EstimationError, LogError, one_of
@@ -27,7 +27,7 @@ from amhe_cli.estimation.offline.cma import CmaState
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.offline.watch import OnIteration, Watch
-from amhe_cli.estimation.uncertainty.fit import Finding
+from amhe_cli.estimation.uncertainty.fit import FinalFit, Finding, final_fit
 from amhe_cli.matching.motion import velocity_lag
 from amhe_cli.system.system import System
 
@@ -94,7 +94,7 @@ def identify(
     return concluded(searched_for(system, training, held_out, options, on_iteration))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Search:
     """A search that ended.
 
@@ -111,6 +111,18 @@ class Search:
     watch: Watch
     model: ParameterSpace
 
+    @cached_property
+    def fit(self) -> FinalFit:
+        """The linearisation of all clips where it ended."""
+        return final_fit(self.problem, self.finding, self.watch)
+
+    def again(self, problem: Problem) -> SearchState:
+        """Where a search with the same parameters under other priors begins."""
+        own, space, found = self.problem.system.space, problem.system.space, self.finding
+        z, wider = space.clip(space.z_of(own.theta_of(found.z))), own.prior_sd / space.prior_sd
+        smooth = isinstance(found, SearchState) and found.straight
+        return search.restart(problem, z, wider[:, None] * found.shape if smooth else None)
+
 
 def searched_for(
     system: System,
@@ -120,13 +132,13 @@ def searched_for(
     on_iteration: OnIteration = lambda iteration, total: None,
     *,
     quick: bool = False,
-    near: FloatArray | None = None,
+    near: Search | None = None,
     clips: int | None = None,
 ) -> Search:
     """The search of `identify`, whose arguments it takes, without the conclusion.
 
-    `quick`: do not warn of parameters that the logs do not depend on. `near`: begin at this theta, all clips
-    at once, and not at the prior's mean with a few. `clips`: fit only so many.
+    `quick`: do not warn of parameters that the logs do not depend on. `near`: begin where a search for the
+    same parameters under other priors has ended, and not at the prior's mean. `clips`: fit only so many.
     """
     if options.method not in METHODS:
         raise ConfigError(f"`method`: {one_of('method', options.method, METHODS)}")
@@ -145,7 +157,7 @@ def searched_for(
     kept = Checkpoint(options.checkpoint, problem, options.method)
     begin = search.start(problem)
     if near is not None:
-        begin = search.restart(problem, system.space.clip(system.space.z_of(near)))
+        begin = near.again(problem)
     finding = _search(problem, options.method, watch, kept, begin)
     return Search(problem, finding, validation, watch, model)
 
@@ -162,11 +174,11 @@ def concluded(search: Search) -> Identification:
     """What a search found, and how sure that is."""
     problem, watch = search.problem, search.watch
     try:
-        return conclude(problem, search.finding, search.validation, watch, search.model)
+        return conclude(problem, search.finding, search.fit, search.validation, watch, search.model)
     except KeyboardInterrupt:
         logger.warning("interrupted while the result was examined: its checks are not complete")
         watch.interrupted = True
-        return conclude(problem, search.finding, search.validation, watch, search.model)
+        return conclude(problem, search.finding, search.fit, search.validation, watch, search.model)
 
 
 def _pose(

@@ -8,6 +8,7 @@ from pathlib import Path
 import mujoco
 import pytest
 
+from amhe_cli.check.findings import Finding, worst_first
 from amhe_cli.check.model import check_model
 from amhe_cli.cli.main import run
 
@@ -53,6 +54,33 @@ SPOILT = {
 
 def test_a_sound_robot_has_no_findings() -> None:
     assert check_model(mujoco.MjModel.from_xml_string(ROBOT)) == ()
+
+
+#: What is put into the right hand, and is no doubt about a robot.
+HARMLESS = {
+    "a light part of a heavy link": '<body><inertial pos="9 0 0" mass="0.001" diaginertia="1 1 1"/></body>',
+    "a shape that is not where the joint is": '<body name="x" pos="0 0.5 0"><joint name="x" damping="1" '
+    'armature="1" frictionloss="1"/><inertial pos="0 0 0" mass="0.6" diaginertia=".004 .004 .004"/>'
+    '<geom type="box" size=".03 .03 .03" pos="0 .2 0"/></body>',
+    "a joint that turns for ever": '<body pos="0 0 -.3"><joint name="x" range="-1e6 1e6" damping="1" '
+    'armature="1" frictionloss="1"/><geom size=".02" mass="0.1"/></body>',
+}
+
+
+@pytest.mark.parametrize("what", HARMLESS)
+def test_what_robots_have_is_no_finding(what: str) -> None:
+    at = ROBOT.rindex(RIGHT_HAND)
+    assert check_model(mujoco.MjModel.from_xml_string(ROBOT[:at] + HARMLESS[what] + ROBOT[at:])) == ()
+
+
+def test_a_model_without_joints_has_no_findings() -> None:
+    assert check_model(mujoco.MjModel.from_xml_string("<mujoco/>")) == ()
+
+
+def test_of_many_findings_of_a_kind_the_worst_are_said_and_the_others_named() -> None:
+    found = worst_first([Finding("thin", f"b{i}", f"it is {i}", 1.0 + i, "") for i in range(9)])
+    assert [one.where for one in found] == ["b8", "b7", "b6", "b5, b4, b3, b2, b1, b0"]
+    assert found[-1].what == "likewise; the worst: it is 5"
 
 
 @pytest.mark.parametrize("what", SPOILT)

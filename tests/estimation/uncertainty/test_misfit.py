@@ -48,10 +48,11 @@ def test_a_clip_that_is_left_out_and_contradicts_the_others_speaks_against_every
     problem, found = at_truth(pendulum, changed(swing(6.2), "command.position", np.negative))
     watch = Watch(lambda record, total: None, None, PARTS)
     watch.interrupted = True  # no other check
-    short = conclude(problem, found, [], watch, problem.system.space)
+    fit = final_fit(problem, found)
+    short = conclude(problem, found, fit, [], watch, problem.system.space)
     assert short.unexplained == (watch.short,) and "it was interrupted" in watch.short
     assert "the model may lack" not in caplog.text
-    result = conclude(problem, replace(found, stage="done"), [], watch, problem.system.space)
+    result = conclude(problem, replace(found, stage="done"), fit, [], watch, problem.system.space)
     assert {p.verdict for p in result.parameters} == {"model-sensitive"}
     (reason,) = result.unexplained
     assert "of swing 2.40-3.00 s by" in reason and "`cost.trim` leaves it out" in reason
