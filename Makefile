@@ -28,14 +28,15 @@ help:
 demo: .venv/.installed
 	$(BIN)/amhe identify examples/logs/t1.mcap -o amhe-out/demo --force
 
+# worksteal: each worker begins with files that stand together, so that what they share is made once
 test: .venv/.installed-dev
-	$(BIN)/python -m pytest -q -n auto
+	$(BIN)/python -m pytest -q -n auto --dist worksteal
 
 test-fast: .venv/.installed-dev
-	$(BIN)/python -m pytest -q -n auto -m "not slow and not medium"
+	$(BIN)/python -m pytest -q -n auto --dist worksteal -m "not slow and not medium"
 
 test-lowest: .venv-lowest/.installed
-	.venv-lowest/bin/python -m pytest -q -n auto -m "not slow"
+	.venv-lowest/bin/python -m pytest -q -n auto --dist worksteal -m "not slow"
 
 lint: .venv/.installed-dev
 	$(BIN)/ruff check .

@@ -61,13 +61,6 @@ def test_masked_values_are_not_measured() -> None:
     assert np.abs(masked["joints.position"].values).max() < 1.0
 
 
-def test_whole_numbers_are_numbers() -> None:
-    counts = np.arange(200) // 50
-    whole = Log.from_arrays(arrays(joints={"time": TIME, "position": counts}), PENDULUM)
-    same = Log.from_arrays(arrays(joints={"time": TIME, "position": counts.astype(float)}), PENDULUM)
-    np.testing.assert_array_equal(whole["joints.position"].values, same["joints.position"].values)
-
-
 def test_commands_are_held_or_lie_on_the_line_to_the_next() -> None:
     ramp = {"time": TIME[::2], "position": 3.0 * TIME[::2]}
     signals = tuple(replace(s, hold=not s.is_input) for s in PENDULUM.signals)

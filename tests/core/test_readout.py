@@ -15,7 +15,6 @@ from amhe_cli.cli.main import run
 from amhe_cli.core.corrections import resolution, spikes, updates
 
 ROOT = Path(__file__).parents[2]
-TOSSES = ROOT.parent / "shared" / "data" / "cube_tosses"
 TIMES = np.arange(0.0, 6.0, 0.005)
 
 
@@ -105,16 +104,6 @@ def test_a_log_is_read_without_them_and_says_so(
     assert amhe.read_log(path, kept)["joints.position"].values[row, 0] == pytest.approx(3.14)
     assert run(["inspect", str(path), "--system", str(system)]) == 0
     assert "1 sample of position left out" in capsys.readouterr().err
-
-
-@pytest.mark.skipif(not TOSSES.exists(), reason="the real tosses of ../shared/data are not here")
-def test_real_impacts_are_no_spikes() -> None:
-    systems = [
-        amhe.System.load("cube_toss", {"logs": {"spikes": how, "repeats": how}}) for how in ("drop", "keep")
-    ]
-    for path in sorted(TOSSES.glob("*.mcap")):
-        first, second = (amhe.read_log(path, system).digest() for system in systems)
-        assert first == second, path.name
 
 
 def test_init_takes_the_resolution_for_the_least_noise(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -54,3 +55,8 @@ def on_warp(
     edits = system.edits if model is None else system.edits.upon(model)
     senses = system.senses if sensors is None else sensors
     return GpuEngine(model or system.model, edits, system.input_spec, senses, [device])
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Warp takes seconds to import, in each worker: only where slow tests run."""
+    return (collection_path.name == "test_gpu.py" and "not slow" in config.option.markexpr) or None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import subprocess
 import sys
 from typing import Any
@@ -12,7 +11,7 @@ import pytest
 
 from amhe_cli.core.errors import NOTE, SimulationError
 from amhe_cli.engine import open as opening
-from amhe_cli.engine.auto import FEWEST, START, TABLE, AutoEngine, StepCost, step_cost
+from amhe_cli.engine.auto import FEWEST, TABLE, AutoEngine, StepCost, step_cost
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.open import open_engine
 from tests.engine.test_contract import CUBE, PENDULUM, clips, some
@@ -115,29 +114,6 @@ def test_variants_of_a_model_share_the_cards(cards) -> None:
     assert len(cards) == 1
 
 
-def test_what_a_model_has_opened_is_open_for_its_variants(cards, monkeypatch) -> None:
-    """The time that it takes is gained, and waited for, once for all of them."""
-    monkeypatch.setattr("amhe_cli.engine.auto.START", START)
-    monkeypatch.setattr(CpuEngine, "rollout", lambda *arguments: None)
-    engine, nothing = auto(), np.zeros(0)
-    variant = engine.upon(PENDULUM.model)
-
-    def each(count: int) -> tuple[Any, ...]:
-        return nothing, nothing, nothing, nothing, np.full(count, 40)
-
-    variant.rollout(*each(3000))  # worth it with those that are expected, and computed while they open
-    assert engine.device_bytes == variant.device_bytes == 0
-    engine.rollout(*each(30_000))
-    small = int(engine.fewest) + 1
-    engine.rollout(*each(small))
-    assert variant.device_bytes == engine.upon(PENDULUM.model).device_bytes == 2**30
-    used: list[object] = []
-    monkeypatch.setattr(Cards, "rollout", lambda self, *arguments: used.append(self))
-    for one in (engine, variant, variant.upon(PENDULUM.model)):
-        one.rollout(*each(small))
-    assert len(set(map(id, used))) == 3, "each on the cards, with a model of its own"
-
-
 @pytest.mark.medium
 def test_the_end_of_a_process_does_not_wait_for_cards_that_still_open() -> None:
     code = """
@@ -157,20 +133,6 @@ begun.wait()
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
     assert (done.returncode, done.stdout, done.stderr) == (0, "computed\n", "")
-
-
-def test_a_model_that_the_cards_refuse_stays_on_the_processor(cards, monkeypatch, caplog) -> None:
-    def refuses(*about: object) -> None:
-        raise SimulationError("mujoco-warp cannot simulate this model: PGS")
-
-    monkeypatch.setattr(opening, "_gpu_engine", refuses)
-    caplog.set_level(logging.INFO, "amhe_cli")
-    engine = auto()
-    for _ in range(2):
-        engine.rollout(*alike(int(engine.fewest) + 1))
-    assert caplog.messages[1:] == [
-        "the CPU computes all rollouts: mujoco-warp cannot simulate this model: PGS"
-    ]
 
 
 def test_a_call_that_the_cards_refuse_goes_to_the_processor_and_so_do_all_others(

@@ -3,10 +3,8 @@
 import signal
 import subprocess
 import sys
-import time
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
-from pathlib import Path
 from threading import Timer
 
 import numpy as np
@@ -15,8 +13,6 @@ import pytest
 from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.engine import cpu, spread
 from amhe_cli.engine.open import contact_variants, open_engine
-from amhe_cli.study.executors import remote
-from tests.clusters import Cluster
 from tests.engine.test_contract import CUBE, PENDULUM, clips, some
 
 
@@ -103,25 +99,6 @@ def test_workers_that_hang_are_warned_of_and_given_up(
     assert caplog.text.count("one may hang") == 1
 
 
-@pytest.mark.medium
-def test_a_worker_of_a_cluster_that_is_stopped_is_warned_of_and_given_up(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    pytest.importorskip("distributed")
-    with Cluster(tmp_path) as cluster, remote(cluster.address) as executor:
-        worker = cluster.worker()
-        engine = open_engine(PENDULUM, executor=executor)
-        assert engine.rollout(*some(8)).completed.all()
-        monkeypatch.setattr(spread, "_DOUBTED", 1.0)
-        monkeypatch.setattr(spread, "_LOST", 4.0)
-        worker.send_signal(signal.SIGSTOP)
-        begun = time.monotonic()
-        with pytest.raises(AmheError, match=r"no worker has answered for \d s: start them again"):
-            engine.rollout(*some(8))
-        assert time.monotonic() - begun < 30.0
-        assert caplog.text.count("one may hang") == 1
-
-
 def test_ctrl_c_ends_a_call_whose_workers_hang(monkeypatch: pytest.MonkeyPatch) -> None:
     """To conclude a search takes workers: a KeyboardInterrupt would begin that, and wait again."""
     monkeypatch.setattr(spread, "_QUIET", 0.5)
@@ -171,10 +148,6 @@ def test_memory_is_bounded_by_turns_which_change_no_number(monkeypatch: pytest.M
     assert max(sizes) <= 9000 // (8 * 3 * starts.horizon), "qpos, qvel and input of each step"
     for one, other in zip(in_turns.values, at_once.values, strict=True):
         np.testing.assert_array_equal(one, other)
-
-
-def test_only_models_that_collide_have_contact_variants() -> None:
-    assert contact_variants(open_engine(PENDULUM), PENDULUM.model) == {}
 
 
 def test_contact_variants_are_the_given_engine_upon_softer_and_harder_contacts() -> None:

@@ -161,23 +161,6 @@ def test_damaged_messages_are_counted(tmp_path: Path, caplog: pytest.LogCaptureF
     assert topic.entries == ("a", "b")
 
 
-def test_an_imu_of_foxglove_is_read_like_that_of_ros(tmp_path: Path) -> None:
-    def message(i: int) -> dict[str, Any]:
-        vector = {"x": Q[i, 0], "y": Q[i, 1], "z": 9.8}
-        return {
-            "timestamp": stamp(i),
-            "frame_id": "imu",
-            "angular_velocity": vector,
-            "linear_acceleration": vector,
-        }
-
-    log = read(
-        write(tmp_path / "log.mcap", "foxglove.Imu", message), "angular_velocity", "linear_acceleration"
-    )
-    np.testing.assert_array_equal(log["s.angular_velocity"].values[:, :2], Q)
-    np.testing.assert_array_equal(log["s.linear_acceleration"].values[:, 2], 9.8)
-
-
 def test_null_is_a_number_that_was_not_measured(tmp_path: Path) -> None:
     path = write(tmp_path / "log.mcap", "own", lambda i: {"stamp": stamp(i), "q": None if i % 2 else Q[i, 0]})
     log = read(path, "value", fields={"value": ("q",)})

@@ -80,12 +80,12 @@ def test_intact_logs_are_read_without_a_warning(
 
 @pytest.mark.medium
 @pytest.mark.parametrize("name", FORMATS)
-def test_cut_at_every_percent(
+def test_cut_anywhere(
     name: str, originals: dict[str, bytes], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     content = originals[name]
     steps = []
-    for percent in range(100):
+    for percent in range(1, 100, 3):
         trajectory = attempt(tmp_path / "log", content[: len(content) * percent // 100], caplog)
         if trajectory is not None:
             assert caplog.records, f"{percent} %: nothing was said"
@@ -94,8 +94,8 @@ def test_cut_at_every_percent(
     if name == "db3":  # sqlite would take what is missing for zeros
         assert not any(steps)
     else:
-        assert steps[95] > STEPS // 2, "most of a nearly complete log is recovered"
-        assert steps[50] > STEPS // 4
+        assert steps[-2] > STEPS // 2, "most of a nearly complete log is recovered"
+        assert steps[len(steps) // 2] > STEPS // 4
 
 
 @pytest.mark.medium
@@ -105,7 +105,7 @@ def test_flipped_bits(
 ) -> None:
     rng = np.random.default_rng(20261121)
     read = 0
-    flips = 200 if name in ("mcap", "db3", "bag") else 60
+    flips = 100 if name in ("mcap", "db3", "bag") else 30
     for place in rng.integers(0, 8 * len(originals[name]), flips).tolist():
         content = bytearray(originals[name])
         content[place // 8] ^= 1 << place % 8

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import struct
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 import zstandard
-from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.highlevel import AnyReader
@@ -20,7 +18,7 @@ from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.limits import limit
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs import LogWriter, read_metadata, read_signals, survey
-from amhe_cli.logs.containers import mcap_file, raw
+from amhe_cli.logs.containers import raw
 from tests.logs.log_makers import (
     DT,
     JOINTS,
@@ -68,11 +66,6 @@ def test_what_is_no_log(tmp_path: Path, content: bytes, text: str) -> None:
     path.write_bytes(content)
     with pytest.raises(LogError, match=text):
         read(path)
-
-
-def test_the_suffix_does_not_matter(tmp_path: Path) -> None:
-    assert read(write_mcap(tmp_path / "log.bag", motion(ROS2, N))).steps == N
-    assert read(write_bag(tmp_path / "log.mcap", motion(ROS1, N))).steps == N
 
 
 @pytest.mark.parametrize(
@@ -205,16 +198,6 @@ def test_an_active_bag_is_read_and_reindexing_named(tmp_path: Path, caplog: pyte
     trajectory = read(path)
     assert trajectory.steps == N and not any(wrong_samples(trajectory).values())
     assert "rosbag reindex" in caplog.text
-
-
-def test_a_chunk_without_messages_is_passed_over(tmp_path: Path) -> None:
-    path = write_mcap(tmp_path / "a.mcap", motion(ROS2, N), finish=False)
-    content = path.read_bytes()
-    header = len(mcap_file.MAGIC) + 9 + struct.unpack_from("<Q", content, len(mcap_file.MAGIC) + 1)[0]
-    empty = struct.pack("<BQ", Opcode.CHUNK, 40) + bytes(40)
-    path.write_bytes(content[:header] + empty + content[header:])
-    complete = write_mcap(tmp_path / "b.mcap", motion(ROS2, N), finish=False)
-    assert read(path).steps == read(complete).steps > 0
 
 
 # -- hostile files ----------------------------------------------------------------------------------------
@@ -364,46 +347,3 @@ def test_a_type_of_our_own_and_one_type_a_topic(tmp_path: Path) -> None:
 
 
 # -- real logs --------------------------------------------------------------------------------------------
-
-needs_data = pytest.mark.skipif(not DATA.exists(), reason="the real logs (../shared/data) are not here")
-
-
-@needs_data
-def test_a_real_cube_toss(caplog: pytest.LogCaptureFixture) -> None:
-    quantities = ("position", "orientation", "linear_velocity", "angular_velocity")
-    path = DATA / "cube_tosses/toss_000.mcap"
-    trajectory = read_signals(path, [Signal("cube", "/cube/odom", quantities)], 1 / 148, SETTINGS)
-    assert trajectory["cube.position"].valid.all()
-    moved = np.gradient(trajectory["cube.position"].values, 1 / 148, axis=0)
-    difference = (moved - trajectory["cube.linear_velocity"].values)[5:-5]
-    assert np.median(np.abs(difference)) < 0.03, "the twist is in the cube's frame and must be turned"
-    assert not [r for r in caplog.records if r.levelno >= logging.WARNING]
-
-
-@needs_data
-def test_a_real_bag() -> None:
-    path = DATA / "planar_push/al_block_push.bag"
-    found = survey(path)
-    counts = {topic.name: topic.count for topic in found.topics}
-    assert found.format == "ROS 1 bag" and not found.problems
-    assert (counts["/joint_states"], counts["/tf"], counts["/netft_data"]) == (663, 1858, 803)
-    frames = next(topic for topic in found.topics if topic.name == "/tf")
-    assert frames.clock == "header" and not frames.notes
-    box = "/vicon/MetalSquare/MetalSquare"
-    trajectory = read_signals(
-        path,
-        [
-            Signal("box", box, ("position", "orientation", "linear_velocity")),
-            Signal("tip", "/tip_pose", ("position",)),
-            Signal("ft", "/netft_data", ("force", "torque")),
-            Signal("arm", "/joint_states", ("position",)),
-            Signal("frame", "/tf", ("position",), child_frame="vicon/MetalSquare/MetalSquare"),
-        ],
-        0.005,
-        SETTINGS,
-    )
-    assert 0.5 < trajectory.duration < 9.0
-    usable = trajectory.usable(("box.position", "tip.position", "ft.force", "arm.position", "frame.position"))
-    assert usable.mean() > 0.5, "the tip's pose stops half way"
-    apart = trajectory["box.position"].values - trajectory["frame.position"].values
-    assert np.abs(apart[usable]).max() < 0.02

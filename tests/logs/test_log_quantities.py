@@ -15,8 +15,6 @@ from mcap.writer import Writer
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs import read_signals
-from amhe_cli.logs.collect import twist_looks_global
-from amhe_cli.logs.messages.decode import SignalSamples
 from tests.logs.log_makers import (
     ARRAY,
     DT,
@@ -385,12 +383,3 @@ def test_idl_definitions(tmp_path: Path) -> None:
     signal = Signal("r", "/r", ("value",), fields={"value": ("level", "parts[1]")})
     values = read(path, signal)["r.value"].values
     np.testing.assert_allclose(values, np.arange(10)[:, None] * [1.0, -1.0])
-
-
-def test_a_twist_of_a_few_milliseconds_is_judged_too() -> None:
-    times, speed = np.linspace(0.0, 0.014, 15), np.tile([1.0, 0.0, 0.0], (15, 1))
-    none = np.zeros(15, dtype=np.int64)
-    values = {"position": times[:, None] * speed, "linear_velocity": speed}
-    samples = SignalSamples(none, none, none, none, values, {}, False, twist_in_child=True)
-    assert twist_looks_global(times, samples, -speed)
-    assert not twist_looks_global(times, samples, speed)

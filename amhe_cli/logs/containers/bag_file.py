@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from amhe_cli.logs.containers.raw import Batch, Connection, Unfolder, messages, normal_type, stamps
+from amhe_cli.logs.containers.raw import Batch, Connection, LogFile, Unfolder, messages, normal_type, stamps
 
 MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _HEADER, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7
@@ -41,17 +41,15 @@ class _Row(NamedTuple):
     length: int
 
 
-class BagFile:
+class BagFile(LogFile):
     """A ROS 1 bag; see LogFile."""
 
     format = "ROS 1 bag"
 
     def __init__(self, path: Path) -> None:
+        super().__init__()
         with path.open("rb") as file:
             self._data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        self.connections: list[Connection] = []
-        self.problems: list[str] = []
-        self.metadata: dict[str, str] = {}
         self._by_id: dict[int, Connection] = {}
         self._times: list[int] = []
         self._expected = 0
@@ -81,10 +79,6 @@ class BagFile:
                 self._declare(self._data, record)
         yield from self._emit(self._data, loose, topics)
         self._conclude(bool(chunks))
-
-    def read_metadata(self) -> dict[str, str]:
-        """Nothing: the format has no place for it."""
-        return {}
 
     def _conclude(self, closed: bool) -> None:
         if not closed:

@@ -24,7 +24,15 @@ from mcap.records import ChunkIndex, Metadata, Schema, Statistics
 from numpy.typing import NDArray
 
 from amhe_cli.core.arrays import IntArray
-from amhe_cli.logs.containers.raw import Batch, Connection, DefinitionFormat, Unfolder, messages, normal_type
+from amhe_cli.logs.containers.raw import (
+    Batch,
+    Connection,
+    DefinitionFormat,
+    LogFile,
+    Unfolder,
+    messages,
+    normal_type,
+)
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")
@@ -157,12 +165,11 @@ _BATCH_BYTES = 2**25
 _FORMATS: dict[str, DefinitionFormat] = {"ros2msg": "ros2msg", "ros2idl": "ros2idl", "ros1msg": "ros1msg"}
 
 
-class McapMessages:
+class McapMessages(LogFile):
     """Reads messages from records, and remembers the channels that these declare."""
 
     def __init__(self) -> None:
-        self.connections: list[Connection] = []
-        self.problems: list[str] = []
+        super().__init__()
         #: Number of a schema -> its name, encoding and text, which all of its channels share.
         self._schemas: dict[int, tuple[str, str, str]] = {}
         self._by_id: dict[int, Connection] = {}
@@ -266,7 +273,6 @@ class McapFile(McapMessages):
         super().__init__()
         with path.open("rb") as file:
             self._data = mmap(file.fileno(), 0, access=ACCESS_READ)
-        self.metadata: dict[str, str] = {}
         self._bodies: list[bytes] = []  # of metadata records
         self._broken_chunks = 0
         self._expected: int | None = None

@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, Literal, Protocol
+from typing import BinaryIO, Literal
 
 import lz4.frame
 import numpy as np
@@ -76,7 +76,7 @@ class Batch:
             yield self.buffer[start : start + length].tobytes()
 
 
-class LogFile(Protocol):
+class LogFile:
     """One file of a log.
 
     `connections`, `problems` and `metadata` are complete once `batches` has been read to its end: the
@@ -84,17 +84,19 @@ class LogFile(Protocol):
     """
 
     format: str
-    connections: list[Connection]
-    problems: list[str]
-    metadata: dict[str, str]
+
+    def __init__(self) -> None:
+        self.connections: list[Connection] = []
+        self.problems: list[str] = []
+        self.metadata: dict[str, str] = {}
 
     def batches(self, topics: Collection[str] | None) -> Iterator[Batch]:
         """Yield the messages of the named topics (None: all), skipping and noting what is damaged."""
-        ...
+        raise NotImplementedError
 
     def read_metadata(self) -> dict[str, str]:
-        """The record named 'amhe', without reading any message."""
-        ...
+        """The record named 'amhe', without reading any message; {} where the format has no place for it."""
+        return self.metadata
 
 
 def batch_of(

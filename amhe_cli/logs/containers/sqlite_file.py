@@ -13,7 +13,15 @@ from pathlib import Path
 from urllib.parse import quote
 
 from amhe_cli.core.limits import limits
-from amhe_cli.logs.containers.raw import Batch, Connection, DefinitionFormat, batch_of, messages, normal_type
+from amhe_cli.logs.containers.raw import (
+    Batch,
+    Connection,
+    DefinitionFormat,
+    LogFile,
+    batch_of,
+    messages,
+    normal_type,
+)
 
 _FORMATS: dict[str, DefinitionFormat] = {"ros2msg": "ros2msg", "ros2idl": "ros2idl"}
 _BATCH, _BATCH_BYTES = 4096, 2**25
@@ -23,15 +31,13 @@ _CHECKED = 2**30
 _STEPS, _STEPS_A_BYTE, _STRIDE = 2 * 10**7, 50, 10**5
 
 
-class SqliteFile:
+class SqliteFile(LogFile):
     """A .db3 file; see LogFile."""
 
     format = "rosbag2 sqlite3"
 
     def __init__(self, path: Path) -> None:
-        self.connections: list[Connection] = []
-        self.problems: list[str] = []
-        self.metadata: dict[str, str] = {}
+        super().__init__()
         self._size = path.stat().st_size
         with path.open("rb") as file:
             head = file.read(100)
@@ -82,10 +88,6 @@ class SqliteFile:
         for topic, rows in pending.items():
             if rows:
                 yield _batch(wanted[topic], rows)
-
-    def read_metadata(self) -> dict[str, str]:
-        """Nothing: the format has no place for it."""
-        return {}
 
     def _tired(self) -> bool:
         """Whether sqlite is to give up: a few pages can be made to stand for endless rows."""

@@ -18,7 +18,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import LogError
 from amhe_cli.core.signals import FACTORS
-from amhe_cli.logs.containers.raw import Batch, Connection
+from amhe_cli.logs.containers.raw import Batch, Connection, LogFile
 
 #: Type and encoding of a table's connection.
 TYPE, ENCODING = "table/msg/Row", "table"
@@ -39,13 +39,13 @@ class Column:
 
     Args:
         name: Its name, a unit behind it.
-        kind: 'number', 'array' of numbers in one cell, 'date' [ns since 1970], or 'text', which is not read.
-        count: Numbers in one cell; 1 but for arrays.
+        kind: 'number', 'date' [ns since 1970], or 'text', which is not read.
+        count: Numbers in a row of it; None: a single one, and no array.
     """
 
     name: str
     kind: str
-    count: int = 1
+    count: int | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,19 +67,20 @@ class NumberTable:
     notes: tuple[str, ...] = ()
 
 
-class TableFile:
+class TableFile(LogFile):
     """A table as a log file; see `LogFile`."""
 
     def __init__(self, path: Path, format: str, table: NumberTable) -> None:
+        super().__init__()
         self.format = format
         self.path = path
-        self.problems: list[str] = list(table.notes)
+        self.problems += table.notes
         self.metadata = _metadata(table.comments)
         start = self.metadata.pop(START, "0")
         self._start_ns = int(start) if start.isdecimal() and len(start) < 20 and int(start) < 2**62 else 0
         self._table = table
-        numbers = [column.kind in ("number", "array") for column in table.columns]
-        counts = [column.count for column in table.columns]
+        numbers = [column.kind == "number" for column in table.columns]
+        counts = [column.count or 1 for column in table.columns]
         units = [unit_of(column.name) for column in table.columns]
         self._factors = np.repeat([_factor(unit) for _, unit in units], counts)
         self._kept = np.repeat(numbers, counts)
@@ -88,7 +89,7 @@ class TableFile:
         if clock is not None and not is_time(names[clock]):
             names[clock] = table.columns[clock].name  # its unit says that it is the time
         fields = [
-            [name, column.count if column.kind == "array" else None]
+            [name, column.count]
             for name, column, number in zip(names, table.columns, numbers, strict=True)
             if number
         ]
@@ -128,10 +129,6 @@ class TableFile:
             rows_are = "1 row without a time is" if untimed == 1 else f"{untimed} rows without a time are"
             self.problems.append(f"{rows_are} dropped")
 
-    def read_metadata(self) -> dict[str, str]:
-        """See `LogFile`."""
-        return self.metadata
-
 
 def unit_of(name: str) -> tuple[str, str]:
     """Name and unit of a column from its header: 'q1 [deg]' is ('q1', 'deg'); '' where none is named."""
@@ -151,7 +148,7 @@ def _clock(path: Path, columns: Sequence[Column], rows: FloatArray) -> tuple[int
             "time: call the one that is `time`, or `time [ms]` if it is not in seconds. Dates as numbers, "
             "with pandas: table['time [ns]'] = pandas.to_datetime(table['date']).astype('int64')"
         )
-    place = sum(c.count for c in columns[:number])
+    place = sum(c.count or 1 for c in columns[:number])
     if columns[number].kind == "date":
         return place, 1.0
     unit = unit_of(columns[number].name)[1].lower()
@@ -172,7 +169,8 @@ def clock_of(columns: Sequence[Column]) -> int | None:
         found = [rank[word] for word in plain if word in rank]
         score = min(found) + 20 * (len(plain) > 1) if found else 50 if unit in _NANOSECONDS else None
         score = 100 if column.kind == "date" else score
-        if column.kind in ("number", "date") and score is not None and (best is None or score < best[0]):
+        single = column.kind != "text" and column.count is None
+        if single and score is not None and (best is None or score < best[0]):
             best = score, i
     return None if best is None else best[1]
 
@@ -183,7 +181,7 @@ def clock_among(fields: Mapping[str, int | None]) -> str | None:
     Args:
         fields: Name of each column -> how many numbers a cell holds, None for a single one.
     """
-    columns = [Column(name, "number" if count is None else "array") for name, count in fields.items()]
+    columns = [Column(name, "number", count) for name, count in fields.items()]
     number = clock_of(columns)
     return None if number is None else columns[number].name
 

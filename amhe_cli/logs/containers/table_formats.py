@@ -225,10 +225,10 @@ def in_memory(path: Path, name: str, arrays: Mapping[str, np.ndarray]) -> Number
     length = len(usable[clock])
     rest = [key for key in arrays if key not in usable or len(usable[key]) != length]
     kept = {key: array for key, array in usable.items() if key not in rest}
-    kinds = {
-        key: "date" if a.dtype.kind == "M" else "array" * (a.ndim - 1) or "number" for key, a in kept.items()
-    }
-    columns = tuple(Column(key, kinds[key], a.shape[1] if a.ndim == 2 else 1) for key, a in kept.items())
+    columns = tuple(
+        Column(key, "date" if a.dtype.kind == "M" else "number", a.shape[1] if a.ndim == 2 else None)
+        for key, a in kept.items()
+    )
 
     def rows(problems: list[str]) -> Iterator[FloatArray]:
         for start in range(0, length, _ROWS):
