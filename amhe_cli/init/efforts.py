@@ -24,7 +24,7 @@ from amhe_cli.init.signals import (
 )
 from amhe_cli.logs import read_signals
 from amhe_cli.system.model.couplings import floats
-from amhe_cli.system.model.elements import names_of
+from amhe_cli.system.model.elements import commanded, names_of
 
 #: Dry friction, viscous friction at 1 rad/s, and a sensor's zero: sd, as a share of the torque's range.
 _FRICTION, _ZERO = 0.05, 0.03
@@ -98,10 +98,15 @@ def _off(model: mujoco.MjModel, joints: Sequence[str]) -> list[str]:
     if not off:
         return []
     several = len(off) > 1
-    return [
+    notes = [
         f"actuator{'s' * several} {', '.join(off)} {'are' if several else 'is'} off: nothing commands "
         f"{'them' if several else 'it'}, and what drove the joint{'s' * several} was measured"
     ]
+    servos = [name for name in off if commanded(model, model.actuator(name).id) != "effort"]
+    if servos:
+        motors = " ".join(f'<motor name="{one}" joint="{joint_of(model, one)}"/>' for one in servos)
+        notes.append(f"to drive the model by torques, write motors in place of its servos: {motors}")
+    return notes
 
 
 def _without(entry: Mapping[str, Any], joints: Sequence[str]) -> dict[str, Any]:

@@ -35,7 +35,7 @@ from amhe_cli.init.signals import (
     notes_on,
     single_joints,
 )
-from amhe_cli.init.tables import topics_in, with_columns
+from amhe_cli.init.tables import is_measured, topics_in, with_columns
 from amhe_cli.init.text import system_text
 from amhe_cli.logs import TopicSurvey, read_signals, survey
 from amhe_cli.logs.containers.table_file import TYPE as TABLE
@@ -142,10 +142,13 @@ def proposed(
         notes += add_servos(spec, model, topics)
     model = compiled(spec)
     guesses = guess_signals(model, topics)
-    measured = [guess for guess in guesses if not (efforts and "actuators" in guess.entry)]
+    twice = {topic.name for topic in topics if is_measured(topic, topics)}
+    measured = [
+        g for g in guesses if "actuators" not in g.entry or not (efforts or g.entry["topic"] in twice)
+    ]
     matched = None if actuators or drives else effort_signal(model, topics, measured, logs[0], msg_path)
     if matched:
-        guesses = measured
+        guesses, topics = measured, [topic for topic in topics if topic.name not in twice]
         parameters = list(effort_parameters(model, matched[1]))
         notes += matched[2]
     elif actuators:

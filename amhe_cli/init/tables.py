@@ -81,6 +81,14 @@ def topics_in(
     return [topic for topic in (states, commands) if topic is not None] + _poses(head, table)
 
 
+def is_measured(commands: Topic, topics: Sequence[Topic]) -> bool:
+    """Whether the torques of some commands are those that were measured, which might drive motors."""
+    own = commands.columns.get("effort")
+    return "position" not in commands.columns and any(
+        "position" in other.columns and other.columns.get("effort") == own for other in topics if own
+    )
+
+
 def _poses(head: str, table: Topic) -> list[Topic]:
     """Poses that have a column for each axis, and for each number of their quaternion."""
     found: dict[str, dict[str, dict[str, str]]] = {}

@@ -1,5 +1,6 @@
 """Torque logs: what `amhe init` proposes, and that it finds what the model lacks."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -76,3 +77,19 @@ def test_joints_that_stand_still_are_left_out(tmp_path: Path) -> None:
     motion = system.matching("motion")  # the same torques drive the model, through motors with their zeros
     assert [one.key for one in motion.inputs] == ["torque.effort"] and motion.match == "motion"
     assert not motion.model.actuator("servo4").gainprm.any() and motion.model.actuator("servo1").gainprm[0]
+
+
+def test_torques_of_a_model_with_motors_are_matched_too_unless_they_are_commands(tmp_path: Path) -> None:
+    """Seven joints that integrate measured torques drift away; a table may still hold commands of motors."""
+    log, text = bundled_logs()["arm_torque"], bundled_models()["arm_torque"].read_text()
+    model = tmp_path / "arm.xml"
+    model.write_text(re.sub(r"<general name=(\S+) joint=(\S+)[^>]*/>", r"<motor name=\1 joint=\2/>", text))
+    notes = init_system(model, [log], tmp_path / "arm").sentences
+    system = System.load(tmp_path / "arm", warn=False)
+    assert system.match == "effort" and not system.inputs
+    assert any(note.startswith("actuators servo1, ") and "are off" in note for note in notes)
+    assert not any("not used" in note or "in place of its servos" in note for note in notes)
+    (tmp_path / "log.csv").write_text(renamed(log.read_text(), q="q_", dq="dq_", tau="tau_cmd_"))
+    init_system(model, [tmp_path / "log.csv"], tmp_path / "commanded")
+    system = System.load(tmp_path / "commanded", warn=False)
+    assert system.match == "motion" and [one.key for one in system.inputs] == ["command.effort"]
