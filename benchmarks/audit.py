@@ -53,7 +53,7 @@ def spec_of(robot: str) -> mujoco.MjSpec:
         return arm()
     if robot in FILES:
         return mujoco.MjSpec.from_file(str(FILES[robot]))
-    from amhe_cli.init.menagerie import menagerie_model
+    from amhe_cli.init.sources import menagerie_model
 
     return mujoco.MjSpec.from_file(str(menagerie_model(robot)))
 

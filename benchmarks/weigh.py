@@ -39,9 +39,9 @@ from mujoco import sysid
 
 import amhe_cli as amhe
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.init.drive_library import Chosen
 from amhe_cli.init.drive_library import drive as library_drive
 from amhe_cli.init.folder import init_system
-from amhe_cli.init.from_library import Chosen
 
 LENGTH, ROD, GRAVITY = 0.12, 0.04, 9.81
 #: Weighed loads [kg]; the model says 1 kg. The first two of them calibrate.

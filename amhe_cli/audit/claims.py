@@ -15,8 +15,7 @@ import numpy as np
 
 from amhe_cli.check.model import WORTHWHILE
 from amhe_cli.core.settings import AssumedSettings
-from amhe_cli.init.actuators import zeros
-from amhe_cli.init.drives import delay, measured_joints, moved_by, short
+from amhe_cli.init.drives import delay, measured_joints, moved_by, short, zeros
 from amhe_cli.init.folder import Proposal
 from amhe_cli.init.signals import Guess
 from amhe_cli.system.model.elements import driven_joint

@@ -101,8 +101,8 @@ def init(session: Session, given: Given) -> None:
     """
     from amhe_cli.cli.inputs import model_file, urdf_options
     from amhe_cli.cli.logs import looked_at
+    from amhe_cli.init.drive_library import Chosen
     from amhe_cli.init.folder import init_system
-    from amhe_cli.init.from_library import Chosen
     from amhe_cli.logs import inspect_log, members
     from amhe_cli.report.folder import reserve
     from amhe_cli.report.tables import TEXT, Table, rich_table

@@ -123,7 +123,7 @@ class Inputs:
 
 def model_file(model: Path | str) -> Path:
     """The file of a model; one of the menagerie is downloaded."""
-    from amhe_cli.init.menagerie import menagerie_model
+    from amhe_cli.init.sources import menagerie_model
 
     return menagerie_model(model.removeprefix(MENAGERIE)) if isinstance(model, str) else model
 
@@ -132,7 +132,7 @@ def urdf_options(
     path: Path, meshes: bool = True, packages: Mapping[str, str] | None = None
 ) -> UrdfOptions | None:
     """How a URDF is read, with the packages that the environment names and more; None: the file is none."""
-    from amhe_cli.init.ros_packages import packages_in
+    from amhe_cli.init.sources import packages_in
     from amhe_cli.system.model.urdf import UrdfOptions, is_urdf
 
     more = {name: Path(folder) for name, folder in (packages or {}).items()}

@@ -106,7 +106,7 @@ class _Named(click.Path):
         if incomplete and self._bundled and "example:".startswith(incomplete[:8]):
             names = (f"example:{name}" for name in self._bundled())
         elif incomplete and self._menagerie and incomplete.startswith(MENAGERIE[: len(incomplete)]):
-            from amhe_cli.init.menagerie import menagerie_names
+            from amhe_cli.init.sources import menagerie_names
 
             names = (MENAGERIE + name for name in menagerie_names())
         found = [CompletionItem(name) for name in names if name.startswith(incomplete)]

@@ -2,7 +2,8 @@
 
 A system has the parameters of its model. A search over several logs has others: a parameter that is known in
 every log is not searched, and one of which each log has a value of its own becomes one unknown for each log,
-`friction[run1]`.
+`friction[run1]`. One that changes along a straight line in time, its trend, becomes two, its values at the
+ends of that line: `friction[start]` and `friction[end]`.
 """
 
 from __future__ import annotations
@@ -15,6 +16,9 @@ from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.log import Log
 from amhe_cli.core.parameters import ParameterSpace, Rows, rows_of
+
+#: Owners of the values at the ends of a trend.
+ENDS = ("start", "end")
 
 
 def named(logs: Sequence[Log]) -> list[Log]:
@@ -33,6 +37,20 @@ def named(logs: Sequence[Log]) -> list[Log]:
     return labelled
 
 
+def trended(logs: Sequence[Log], names: Sequence[str]) -> list[Log]:
+    """The logs with a trend of some parameters, each log at the middle of its time, by its stamps.
+
+    Raises:
+        ConfigError: All logs were made at one time: there is no line.
+    """
+    first = min((log.start_ns for log in logs), default=0)
+    middles = np.array([1e-9 * (log.start_ns - first) + 0.5 * log.duration for log in logs])
+    if names and not np.ptp(middles):
+        raise ConfigError(f"`trend`: {', '.join(names)}: needs logs, or parts of one, of different times")
+    places = ((middles - middles.min()) / (np.ptp(middles) or 1.0)).tolist()
+    return [log.with_(trend=dict.fromkeys(names, at)) for log, at in zip(logs, places, strict=True)]
+
+
 def searched(space: ParameterSpace, logs: Sequence[Log]) -> ParameterSpace:
     """The unknowns of a search over logs.
 
@@ -49,6 +67,7 @@ def searched(space: ParameterSpace, logs: Sequence[Log]) -> ParameterSpace:
     for column, parameter in enumerate(space.parameters):
         unknown = [log for log in logs if parameter.name not in log.known]
         owners = dict.fromkeys(log.own[parameter.name] for log in unknown if parameter.name in log.own)
+        owners |= dict.fromkeys(ENDS if any(parameter.name in log.trend for log in unknown) else ())
         columns += [-1] * len(owners) if owners else [column] * bool(unknown)
         parameters += [parameter.owned_by(owner) for owner in owners]
         parameters += [parameter] * bool(unknown and not owners)
@@ -78,14 +97,17 @@ def values_on(log: Log, model: ParameterSpace, space: ParameterSpace, theta: Flo
 
     Returns:
         Shape (p, d). What the log knows is taken from it. For an owner that no fitted log has, the value is
-        the geometric or arithmetic mean of the others'. What is not searched is at its nominal value.
+        the geometric or arithmetic mean of the others'; on a trend, that of both ends by the log's place.
+        What is not searched is at its nominal value.
     """
     if space.names == model.names and not log.known:
         return theta
     values = np.empty((len(theta), len(model)))
     for i, (p, columns) in enumerate(zip(model.parameters, _columns(log, model, space), strict=True)):
         if len(columns) > 1:
-            mean = (np.log(theta[:, columns]) if p.log else theta[:, columns]).mean(axis=1)
+            at = log.trend.get(p.name)
+            weights = np.full(len(columns), 1.0 / len(columns)) if at is None else np.array([1.0 - at, at])
+            mean = (np.log(theta[:, columns]) if p.log else theta[:, columns]) @ weights
             values[:, i] = np.exp(mean) if p.log else mean
         else:
             values[:, i] = theta[:, columns[0]] if columns else log.known.get(p.name, p.nominal)
@@ -93,9 +115,9 @@ def values_on(log: Log, model: ParameterSpace, space: ParameterSpace, theta: Flo
 
 
 def averaged(log: Log, model: ParameterSpace, space: ParameterSpace) -> dict[str, list[int]]:
-    """Parameters whose value on a log is a mean of several unknowns -> their columns; see `values_on`."""
+    """Parameters whose value on a log is the mean of others' -> the columns of these; see `values_on`."""
     pairs = zip(model.names, _columns(log, model, space), strict=True)
-    return {name: columns for name, columns in pairs if len(columns) > 1}
+    return {name: columns for name, columns in pairs if len(columns) > 1 and name not in log.trend}
 
 
 def acting(log: Log, model: ParameterSpace, space: ParameterSpace) -> BoolArray:
@@ -121,7 +143,7 @@ def _of(owner: str, columns: Mapping[str, int]) -> list[int]:
 
 def same_values(log: Log) -> tuple[object, ...]:
     """What is equal for logs on which the model has the same values."""
-    return tuple(sorted(log.known.items())), tuple(sorted(log.own.items()))
+    return tuple(tuple(sorted(given.items())) for given in (log.known, log.own, log.trend))
 
 
 def mistakes_of(
@@ -165,7 +187,9 @@ def check_logs(
             some fitted logs have a value of their own, or nothing is left to search.
     """
     for log in (*logs, *held_out):
-        for (key, *_), text in mistakes_of(log.known, log.own, space, fixed):
+        for (key, *_), text in mistakes_of(
+            log.known, [*log.own, *(log.trend.keys() - log.known)], space, fixed
+        ):
             raise ConfigError(f"{log.source}: `{key}`: {text}")
     for name in space.names:
         _check_own(logs, name)
@@ -180,13 +204,20 @@ def check_logs(
 
 
 def _check_own(logs: Sequence[Log], name: str) -> None:
-    """Refuse a value of their own that only some of the logs have, or one owner: it has no spread.
+    """Refuse a value of their own, or a trend, that only some logs have, and one owner: it has no spread.
 
     Raises:
         ConfigError: That is so.
     """
     unknown = [log for log in logs if name not in log.known]
+    on_trend = [log for log in unknown if name in log.trend]
     owning = [log for log in unknown if name in log.own]
+    places = {log.trend.get(name) for log in unknown}
+    if on_trend and (owning or None in places or len(places) < 2):
+        raise ConfigError(
+            f"{on_trend[0].source}: `trend`: {name} needs two places or more on its trend, one for each "
+            "fitted log that does not know it, and no `own` beside them"
+        )
     if not owning:
         return
     for log in unknown:
@@ -213,6 +244,7 @@ def fixing(logs: Sequence[Log], names: Collection[str], stated: Mapping[str, flo
         log.with_(
             known=dict(stated) | dict(log.known),
             own={name: owner for name, owner in log.own.items() if name not in names},
+            trend={name: at for name, at in log.trend.items() if name not in names},
         )
         for log in logs
     )

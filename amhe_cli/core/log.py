@@ -43,6 +43,8 @@ class Log(Displayed):
         known: Values of parameters [SI] that are known for this log, and not searched in it.
         own: Parameters of which this log has a value of its own -> whose it is: logs that name the same
             owner share one value; '' stands for the log itself.
+        trend: Parameters that change in time from log to log along a straight line -> where this log is on
+            it, 0 at the start of the line and 1 at its end.
         held_out: The log is only used to validate.
         reading: Arguments of `read_log` that it was read with, as plain values; {}: it was made in memory.
     """
@@ -55,11 +57,12 @@ class Log(Displayed):
     file: Path | None = None
     known: Mapping[str, float] = field(default_factory=dict)
     own: Mapping[str, str] = field(default_factory=dict)
+    trend: Mapping[str, float] = field(default_factory=dict)
     held_out: bool = False
     reading: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("series", "metadata", "known", "own", "reading"):
+        for name in ("series", "metadata", "known", "own", "trend", "reading"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def __repr__(self) -> str:
@@ -105,6 +108,7 @@ class Log(Displayed):
         *,
         known: Mapping[str, float] | None = None,
         own: Iterable[str] | Mapping[str, str] | None = None,
+        trend: Mapping[str, float] | None = None,
         held_out: bool | None = None,
     ) -> Log:
         """A copy of the log with some of these replaced; what is not given stays.
@@ -114,11 +118,12 @@ class Log(Displayed):
             own: Parameters of which this log has a value of its own, around a common mean. With a mapping
                 from parameters to owners, such as `{"friction": "robot A"}`, the logs of one owner share
                 one value.
+            trend: Parameter -> where this log is, from 0 to 1, on the straight line along which it changes.
             held_out: Use the log only to validate.
         """
         if own is not None and not isinstance(own, Mapping):
             own = dict.fromkeys(own, "")
-        given = {"known": known, "own": own, "held_out": held_out}
+        given = {"known": known, "own": own, "trend": trend, "held_out": held_out}
         return replace(self, **{name: value for name, value in given.items() if value is not None})
 
     @property
@@ -141,8 +146,8 @@ class Log(Displayed):
     def digest(self) -> str:
         """Hash (SHA-256) of all that was measured."""
         content = hashlib.sha256(f"{self.dt} {self.start_ns}".encode())
-        if self.known or self.own:
-            content.update(repr((sorted(self.known.items()), sorted(self.own.items()))).encode())
+        if stated := [sorted(given.items()) for given in (self.known, self.own, self.trend) if given]:
+            content.update(repr(stated).encode())
         for key, series in sorted(self.series.items()):
             content.update(key.encode())
             for array in (series.values, series.valid, series.sampled):

@@ -76,13 +76,16 @@ def forces_along(
         input_spec: mjtState bits of the inputs.
         act: Activations of actuators, shape (T, na); None: they have followed their commands for long.
     """
-    (free, drive), (count, nv) = with_servos(unconstrained(model)), qvel.shape
+    (count, nv), at = qvel.shape, controls(model, input_spec)
+    if act is None and inputs is not None and model.na and at is not None:
+        act = first_activations(model, qpos, inputs[:, at])
+    ctrl = np.zeros((count, model.nu)) if inputs is None or at is None else inputs[:, at]
+    states = np.zeros((count, model.na)) if act is None else act
+    free, drive = with_servos(unconstrained(model), qpos, qvel, ctrl, states)
     data, outputs, gear = mujoco.MjData(free), list(free.actuator_outadr), GearFriction.of(model)
     moment, mass = np.zeros((free.nout, nv)), np.empty((count, nv, nv))
     needed, given, by = np.empty((count, nv)), np.zeros((count, nv)), np.zeros((count, free.nactuator, nv))
-    friction = np.tile(model.dof_frictionloss, (count, 1))
-    if act is None and inputs is not None and model.na and (at := controls(model, input_spec)) is not None:
-        act = first_activations(model, qpos, inputs[:, at])
+    friction, motor, smooth = np.tile(model.dof_frictionloss, (count, 1)), *np.zeros((2, count, nv))
     for k in range(count):
         if inputs is not None and inputs.shape[1]:
             mujoco.mj_setState(free, data, inputs[k], input_spec)
@@ -94,7 +97,7 @@ def forces_along(
             continue
         if act is not None:
             data.act = act[k]
-        drive(data)
+        drive(k)
         mujoco.mj_fwdActuation(free, data)
         given[k] = data.qfrc_actuator + data.qfrc_applied
         for body in np.flatnonzero(data.xfrc_applied.any(axis=1)):
@@ -104,16 +107,16 @@ def forces_along(
             rows = data.moment_rownnz, data.moment_rowadr, data.moment_colind
             mujoco.mju_sparse2dense(moment, data.actuator_moment, *rows)
             by[k] = (moment * data.actuator_force[:, None])[outputs]
-        if gear is not None:
-            smooth = data.qfrc_passive - data.qfrc_bias + given[k] - data.qfrc_damper
-            motor = data.qfrc_actuator[gear.dofs]
-            friction[k, gear.dofs] = gear.bound(
-                numbers=model.numeric_data[gear.at],
-                dry=model.dof_frictionloss[gear.dofs],
-                motor=motor,
-                external=smooth[gear.dofs] - motor,
-                speed=data.qvel[gear.dofs],
-            )
+        motor[k], smooth[k] = data.qfrc_actuator, data.qfrc_passive - data.qfrc_bias - data.qfrc_damper
+    if gear is not None and inputs is not None:
+        own, dofs = motor[:, gear.dofs], gear.dofs
+        friction[:, dofs] = gear.bound(
+            numbers=model.numeric_data[gear.at][None],
+            dry=model.dof_frictionloss[None, dofs],
+            motor=own,
+            external=smooth[:, dofs] + given[:, dofs] - own,
+            speed=qvel[:, dofs],
+        )
     return Forces(needed, given, by, friction, mass)
 
 

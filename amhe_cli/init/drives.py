@@ -1,17 +1,19 @@
-"""Unknown numbers of a robot's drives: friction and inertia of joints, gains, delays, zeros of encoders."""
+"""Unknown numbers of a robot's drives: friction, inertia, gaps and encoders of joints, gains, delays."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from fnmatch import fnmatchcase
 from typing import Any
 
 import mujoco
 import numpy as np
 
+from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.init.names import words
-from amhe_cli.init.signals import Guess, single_joints
-from amhe_cli.system.model.couplings import followers
-from amhe_cli.system.model.elements import commanded
+from amhe_cli.init.signals import Guess, joint_of, single_joints
+from amhe_cli.system.model.elements import commanded, floats, followers, names_of
+from amhe_cli.system.model.gaps import add_gaps
 
 #: Numbers of an actuator that are equal where drives are.
 _OF_ACTUATOR = ("gaintype", "biastype", "gainprm", "biasprm", "forcelimited", "forcerange", "gear")
@@ -21,8 +23,13 @@ _KNOWN = (0.5, 10.0)
 _UNKNOWN = (1.0, 100.0)
 #: Prior sd (log scale) of the gains that a model file gives its actuators.
 GAIN_SD = 0.1
-#: Prior sd (log scale) of a limit of force that a model file gives.
-_LIMIT_SD = 0.2
+#: Numbers of a servo: the end of their parameter's name, and their prior sd (log scale) if a model has them.
+_OF_SERVO = {
+    "gain": ("gain", GAIN_SD),
+    "actuator_damping": ("kv", GAIN_SD),
+    "force_limit": ("force_limit", 0.2),
+    "filter_time_constant": ("filter", 0.5),
+}
 #: Prior sd (log scale) of a servo's gains that nobody has measured: a factor of 4.5 either way at one sd.
 _GUESSED_GAIN = 1.5
 #: Delay from a command's stamp to its action [s]: real servos have 5 to 20 ms, and models leave it out.
@@ -31,6 +38,18 @@ _DELAY = 0.01
 _DELAY_SD = 0.01
 #: Upper bound of that delay [s].
 _LONGEST_DELAY = 0.1
+#: Prior sd and largest zero of the encoder of a hinge [rad].
+_ZERO_OF_HINGE = (0.05, 0.3)
+#: Prior sd and largest zero of the encoder of a slide [m].
+_ZERO_OF_SLIDE = (0.005, 0.03)
+#: Width of a hinge's gap before a log is read, and its bounds [rad].
+_GAP_OF_HINGE = (0.01, 0.0002, 0.1)
+#: Width of a slide's gap before a log is read, and its bounds [m].
+_GAP_OF_SLIDE = (0.0005, 0.00001, 0.01)
+#: Frequency of a link on its locked drive [Hz]: arms with harmonic drives have 5 to 20.
+_HERTZ = 10.0
+#: Prior sd of the logarithm of a gap's width, and of a stiffness.
+_GAP_SD = 1.0
 #: Words that tell one of several parts alike.
 _SIDES = {
     *("fl", "fr", "rl", "rr", "lf", "rf", "lr", "lh", "rh", "hl", "hr", "bl", "br", "l", "r"),
@@ -133,53 +152,38 @@ def gain_scale(model: mujoco.MjModel, actuators: Sequence[str]) -> list[Guess]:
     return [Guess("gain_scale", entry, why)]
 
 
-def servo_gains(model: mujoco.MjModel, actuators: Sequence[str]) -> Iterator[Guess]:
-    """Stiffness and damping of each servo; a motor's gain is 1 and no guess."""
+def servo_numbers(
+    model: mujoco.MjModel, actuators: Sequence[str], guessed: bool, numbers: Sequence[str] = tuple(_OF_SERVO)
+) -> Iterator[Guess]:
+    """Stiffness, damping, limit of force and filter of each servo, as far as it has them.
+
+    Args:
+        model: The model.
+        actuators: Its actuators; motors are left out, as their gain is 1 and no guess.
+        guessed: Nobody has measured the gains: `init` added the actuators.
+        numbers: Words of `set:` of the numbers that are meant.
+    """
     for name in actuators:
         row = model.actuator(name).id
-        if commanded(model, row) == "effort":
-            continue
-        note = "of the size of the joint's inertia: put the drive's data sheet in its place"
-        gains = (
-            ("gain", float(model.actuator_gainprm[row, 0]), f"the servo's kp, {note}"),
-            (
-                "actuator_damping",
-                float(-model.actuator_biasprm[row, 2]),
-                f"the servo's kv, {note}; the log shows only the sum of it and the joint's damping, unless "
-                "it saturates",
-            ),
-        )
-        gains = gains[:1] if commanded(model, row) == "velocity" else gains
-        for kind, nominal, why in gains:
-            entry = entry_of(nominal, True, [{"actuator": name, "set": kind}], _GUESSED_GAIN)
-            yield Guess(f"{name}_{'gain' if kind == 'gain' else 'kv'}", entry, why, source="guess")
-
-
-def drive_numbers(model: mujoco.MjModel, actuators: Sequence[str], guessed: bool) -> Iterator[Guess]:
-    """Gain, velocity gain, limit of force and filter of each servo, as far as it has them."""
-    why = "the model's; a log determines it beside inertias where the drive saturates, or a mass is known"
-    for name in actuators:
-        row = model.actuator(name).id
-        if commanded(model, row) == "effort":
-            continue
-        filtered = int(model.actuator_dyntype[row]) in (
-            int(mujoco.mjtDyn.mjDYN_FILTER),
-            int(mujoco.mjtDyn.mjDYN_FILTEREXACT),
-        )
-        gain = (_GUESSED_GAIN if guessed else GAIN_SD), True
-        for word, suffix, (sd, has) in (
-            ("gain", "gain", gain),
-            (
-                "actuator_damping",
-                "kv",
-                (gain[0], commanded(model, row) == "position" and model.actuator_biasprm[row, 2]),
-            ),
-            ("force_limit", "force_limit", (_LIMIT_SD, model.actuator_forcelimited[row])),
-            ("filter_time_constant", "filter", (_KNOWN[0], filtered)),
-        ):
-            if has:
-                entry = {"scale": "log", "prior_sd": sd, "targets": [{"actuator": name, "set": word}]}
-                yield Guess(f"{name}_{suffix}", entry, f"{word} of {name}; {why}")
+        kind, filters = commanded(model, row), (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
+        values = {
+            "gain": model.actuator_gainprm[row, 0],
+            "actuator_damping": -model.actuator_biasprm[row, 2] * (kind == "position"),
+            "force_limit": model.actuator_forcerange[row, 1] * model.actuator_forcelimited[row],
+            "filter_time_constant": model.actuator_dynprm[row, 0] * (model.actuator_dyntype[row] in filters),
+        }
+        for word in numbers if kind != "effort" else ():
+            (suffix, sd), unknown = _OF_SERVO[word], guessed and word in ("gain", "actuator_damping")
+            why = "a log determines it beside inertias where the drive saturates, or a mass is known"
+            if unknown:
+                sd, why = (
+                    _GUESSED_GAIN,
+                    "of the size of the joint's inertia: put the data sheet's in its place",
+                )
+            if values[word]:
+                entry = entry_of(float(values[word]), unknown, [{"actuator": name, "set": word}], sd)
+                source = "guess" if unknown else "model"
+                yield Guess(f"{name}_{suffix}", entry, f"{word} of {name}: {why}", source=source)
 
 
 def geared_joints(model: mujoco.MjModel, actuators: Sequence[str]) -> list[str]:
@@ -206,6 +210,160 @@ def delay(step: float) -> Iterator[Guess]:
     entry = linear_entry(middle, (0.0, _LONGEST_DELAY), _DELAY_SD, {"set": "command_delay"})
     why = "delay of every command [s]: real servos have 5 to 20 ms"
     yield Guess("command_delay", entry, why, source="guess")
+
+
+def actuator_parameters(
+    spec: mujoco.MjSpec,
+    model: mujoco.MjModel,
+    signals: Sequence[Guess],
+    guessed_gains: bool,
+    group: bool,
+    gains: bool = False,
+) -> list[Guess]:
+    """Armature, viscous and dry friction and the encoder's zero of each joint, and one delay of all commands.
+
+    Gains are fixed: a log of positions shows only their ratio to masses, armatures and frictions. It shows
+    more where a servo saturates, or a load is known.
+
+    Args:
+        spec: The model's source: it has the classes of joints.
+        model: The model.
+        signals: Signals of the log; every joint that it measures has a drive.
+        guessed_gains: Whether `init` added the actuators; then the masses are known better than the gains.
+        group: Equal drives share their parameters, all but the zero of the encoder.
+        gains: Gain, velocity gain, limit of force and filter of each servo are free, too.
+    """
+    joints, actuators = measured_joints(model, signals), moved_by(signals)
+    guesses = [*joint_parameters(spec, model, joints, group), *zeros(model, joints, signals)]
+    if gains:
+        guesses += servo_numbers(model, actuators, guessed_gains)
+    elif guessed_gains:  # unknown, but for the velocity terms
+        guesses += servo_numbers(model, actuators, True, ("gain",))
+        guesses += map(_fixed, servo_numbers(model, actuators, True, ("actuator_damping",)))
+    else:
+        guesses += map(_fixed, gain_scale(model, actuators))
+    return [*guesses, *(delay(model.opt.timestep) if actuators else ())]
+
+
+def _fixed(guess: Guess) -> Guess:
+    why = (
+        "fixed: the log shows only the ratio of gains to masses, armatures and frictions, which are in units "
+        "of them; prior_sd: 0.1 if the gains are known to 10 %"
+    )
+    return Guess(guess.name, guess.entry | {"prior_sd": 0.0}, why, source=guess.source)
+
+
+def ungrouped(parameters: Sequence[Guess]) -> list[str]:
+    """A sentence where no two drives are equal, so that no parameter is shared."""
+    of_joints = [guess for guess in parameters if "joint" in guess.entry["targets"][0]]
+    if any(len(guess.entry["targets"]) > 1 for guess in of_joints):
+        return []
+    return ["`group`: no two drives are alike (same class or name but for the side, and same numbers)"]
+
+
+def floating(model: mujoco.MjModel, signals: Sequence[Guess]) -> list[str]:
+    """What to do where measured joints hang on a body that nothing holds."""
+    loose = [name for name in measured_joints(model, signals) if floats(model, model.joint(name).id)]
+    if not loose:
+        return []
+    body = model.body(model.body_rootid[model.joint(loose[0]).bodyid[0]]).name
+    return [
+        f"the base is not fixed: body {body} has a free joint. Hang the robot up or bolt it down, and delete "
+        f"that joint from the model; else the base's motion and contacts hide what the drives do"
+    ]
+
+
+def zeros(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Guess]) -> Iterator[Guess]:
+    """The zero of each joint's encoder; commands are in its frame too."""
+    for signal in signals:
+        for joint in (name for name in signal.entry.get("joints", ()) if name in joints):
+            slides = int(model.joint(joint).type[0]) == mujoco.mjtJoint.mjJNT_SLIDE
+            sd, most = _ZERO_OF_SLIDE if slides else _ZERO_OF_HINGE
+            target = {"signal": signal.name, "set": "bias", "joint": joint, "quantity": "position"}
+            entry = linear_entry(0.0, (-most, most), sd, target)
+            gravity = "gravity shows it"
+            if not _lifts(model, joint):
+                gravity = "nothing shows it: gravity's torque does not change with this joint"
+            why = f"zero of the encoder of joint {joint}: the log reads angle + offset; {gravity}"
+            yield Guess(f"{joint}_offset", entry, why, source="guess")
+
+
+def _lifts(model: mujoco.MjModel, joint: str) -> bool:
+    """Whether gravity's forces on the joints change with the position of a joint."""
+    data, column, rng = mujoco.MjData(model), int(model.joint(joint).qposadr[0]), np.random.default_rng(0)
+    # joints stand somewhere, so that no axis is upright by chance
+    for hinge in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE):
+        data.qpos[model.jnt_qposadr[hinge]] += rng.uniform(0.2, 0.4)
+    forces = []
+    for _ in range(2):
+        mujoco.mj_forward(model, data)
+        forces.append(data.qfrc_bias.copy())
+        data.qpos[column] += 0.3
+    return bool(np.abs(forces[1] - forces[0]).max() > 1e-9 * np.abs(forces[0]).max())
+
+
+def gap_parameters(
+    spec: mujoco.MjSpec,
+    model: mujoco.MjModel,
+    signals: Sequence[Guess],
+    parameters: Sequence[Guess],
+    wanted: Sequence[str],
+    elastic: bool = False,
+) -> list[Guess]:
+    """Give joints a gap or an elastic drive, and move what `parameters` say of their drives to these.
+
+    Args:
+        spec: The model's source, which is changed.
+        model: The model as it was.
+        signals: Signals of the log; only joints that it measures and actuators move can have one.
+        parameters: Their targets are changed.
+        wanted: Joints, by names or patterns.
+        elastic: Springs, not gaps.
+
+    Returns:
+        A parameter for the width of each gap, or the stiffness of each drive.
+
+    Raises:
+        ConfigError: No such joint is measured and moved by an actuator.
+    """
+    word = "elastic" if elastic else "backlash"
+    moved = {joint_of(model, actuator) for actuator in names_of(model, "actuator")}
+    joints = [joint for joint in measured_joints(model, signals) if joint in moved]
+    for pattern in wanted:
+        if not any(fnmatchcase(joint, pattern) for joint in joints):
+            raise ConfigError(f"`{word}`: {one_of('joint that is measured and driven', pattern, joints)}")
+    chosen = [joint for joint in joints if any(fnmatchcase(joint, pattern) for pattern in wanted)]
+    entries = {joint: _elastic(model, joint) if elastic else _gap(model, joint) for joint in chosen}
+    drives = add_gaps(spec, {joint: entry["nominal"] for joint, entry in entries.items()}, elastic)
+    kinds = {kind for kind, _, _ in KINDS}
+    for guess in parameters:
+        for target in guess.entry["targets"]:
+            if target["set"] in kinds and target.get("joint") in drives:
+                target["joint"] = drives[target["joint"]]
+    what = "stiffness between" if elastic else "free motion between"
+    return [
+        Guess(
+            f"{joint}_{'drive_stiffness' if elastic else 'backlash'}",
+            entry,
+            f"{what} joint {joint} and its drive. The log is taken to measure the link: if the "
+            f"encoder is on the motor, write joints: {{{drives[joint]}: {joint}}}",
+            source="guess",
+        )
+        for joint, entry in entries.items()
+    ]
+
+
+def _gap(model: mujoco.MjModel, joint: str) -> dict[str, Any]:
+    slides = int(model.joint(joint).type[0]) == mujoco.mjtJoint.mjJNT_SLIDE
+    width, lower, upper = _GAP_OF_SLIDE if slides else _GAP_OF_HINGE
+    entry = entry_of(width, True, [{"joint": joint, "set": "backlash"}], _GAP_SD)
+    return entry | {"bounds": [lower, upper]}
+
+
+def _elastic(model: mujoco.MjModel, joint: str) -> dict[str, Any]:
+    inertia = float(model.dof_M0[model.joint(joint).dofadr[0]])
+    stiffness = (2.0 * np.pi * _HERTZ) ** 2 * inertia
+    return entry_of(stiffness, True, [{"joint": joint, "set": "drive_stiffness"}], _GAP_SD)
 
 
 def entry_of(

@@ -23,8 +23,7 @@ from amhe_cli.init.signals import (
     torque_entry,
 )
 from amhe_cli.logs import read_signals
-from amhe_cli.system.model.couplings import floats
-from amhe_cli.system.model.elements import commanded, names_of
+from amhe_cli.system.model.elements import commanded, floats, names_of
 
 #: Dry friction, viscous friction at 1 rad/s, and a sensor's zero: sd, as a share of the torque's range.
 _FRICTION, _ZERO = 0.05, 0.03

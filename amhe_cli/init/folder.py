@@ -17,11 +17,16 @@ from amhe_cli.core.corrections import resolution
 from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.yaml_file import merged
-from amhe_cli.init.actuators import actuator_parameters, floating, ungrouped
-from amhe_cli.init.drives import geared_joints, moved_by
+from amhe_cli.init.drive_library import Chosen, expect_less, library_parameters
+from amhe_cli.init.drives import (
+    actuator_parameters,
+    floating,
+    gap_parameters,
+    geared_joints,
+    moved_by,
+    ungrouped,
+)
 from amhe_cli.init.efforts import effort_parameters, effort_signal
-from amhe_cli.init.from_library import Chosen, expect_less, library_parameters
-from amhe_cli.init.gaps import gap_parameters
 from amhe_cli.init.model import add_servos, copy_model, free_root, notes_on_urdf, overlaps
 from amhe_cli.init.parameters import guess_parameters, guessed_masses
 from amhe_cli.init.signals import (

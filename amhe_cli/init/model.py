@@ -11,7 +11,7 @@ import mujoco
 from amhe_cli.init.names import is_command, matched, words
 from amhe_cli.init.signals import Topic, gives_pose, guess_signals, single_joints
 from amhe_cli.system.export.mjcf import portable
-from amhe_cli.system.model.couplings import followers
+from amhe_cli.system.model.elements import followers
 from amhe_cli.system.model.files import compiled
 
 #: Servo that a URDF's joint gets: natural frequency [rad/s] against the joint's inertia, damping ratio.

@@ -16,7 +16,7 @@ from amhe_cli.init.drives import (
     linear_entry,
     measured_joints,
     moved_by,
-    servo_gains,
+    servo_numbers,
     short,
 )
 from amhe_cli.init.names import words
@@ -51,7 +51,8 @@ def guess_parameters(
     moved, measured = moved_by(signals), measured_joints(model, signals)
     joints = [j for j in dict.fromkeys(joint_of(model, name) for name in moved) if j and j in measured]
     joints = joints or sorted(measured)
-    gains = [*servo_gains(model, moved)] if guessed_gains else []
+    numbers = "gain", "actuator_damping"
+    gains = [*servo_numbers(model, moved, True, numbers)] if guessed_gains else []
     return [
         *joint_parameters(spec, model, joints, len(joints) > _OWN),
         *_masses(model, joints, signals),

@@ -11,8 +11,7 @@ import mujoco
 import yaml
 
 from amhe_cli.init.names import in_motor_order, is_command, joint_paths, matched, names_the_same, words
-from amhe_cli.system.model.couplings import followers
-from amhe_cli.system.model.elements import commanded, driven_joint, names_of
+from amhe_cli.system.model.elements import commanded, driven_joint, followers, names_of
 
 #: Default noise sd [SI]; an estimate from the log replaces it where there is one.
 NOISE = {

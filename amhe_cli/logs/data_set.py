@@ -33,12 +33,14 @@ class _Entry(BaseModel):
 class _File(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True)
     logs: Annotated[list[_Entry], Field(min_length=1)]
+    trend: list[str] = []
 
 
 #: What would be valid, by key.
 _EXAMPLES = {
     "known": "a mapping such as {gain: 0.2, load: 0.49}",
     "own": "a list of parameters",
+    "trend": "a list of parameters",
     "topics": "a mapping from signals to topics",
     "logs": "a list such as [{log: run1.mcap}, {log: run2.mcap}]",
 }
@@ -53,6 +55,7 @@ class Member:
         start, end: Part of the log [s]; None: its start and its end.
         topics: Signal -> topic to read it from.
         known, own, held_out: See `Log`.
+        trend: Parameters that change along a straight line in time, over all logs of the data set.
     """
 
     path: Path
@@ -62,6 +65,7 @@ class Member:
     known: dict[str, float] = field(default_factory=dict)
     own: list[str] | dict[str, str] = field(default_factory=list)
     held_out: bool = False
+    trend: tuple[str, ...] = ()
 
 
 def is_data_set(path: Path) -> bool:
@@ -92,9 +96,13 @@ def members(path: Path, system: Measured | None = None) -> list[Member]:
     for number, entry in enumerate(content.logs):
         for key, text in _mistakes(path.parent, entry, system):
             file.problem(("logs", number, *key), text)
+    if system is not None:
+        for _, text in mistakes_of({}, content.trend, system.space, system.fixed):
+            file.problem(("trend",), text)
     file.raise_problems()
+    trend = tuple(content.trend)
     return [
-        Member(one, entry.begin, entry.end, entry.topics, entry.known, entry.own, entry.held_out)
+        Member(one, entry.begin, entry.end, entry.topics, entry.known, entry.own, entry.held_out, trend)
         for entry in content.logs
         for one in episode_paths(path.parent / entry.log)
     ]

@@ -13,6 +13,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.bundled import example
 from amhe_cli.core.corrections import corrected
+from amhe_cli.core.each_log import trended
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.log import Log, warn_of
 from amhe_cli.core.settings import LogSettings
@@ -89,6 +90,8 @@ def read_log(
         warn_of(log, system)
         log = log.with_(known=one.known, own=one.own, held_out=one.held_out)
         logs.append(replace(log, reading={"path": str(path), **how}))
+    if trend := list(dict.fromkeys(name for _, one in found for name in one.trend)):
+        logs = trended(logs, trend)
     return logs[0] if isinstance(paths, str | Path) else logs
 
 

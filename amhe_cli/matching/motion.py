@@ -21,7 +21,7 @@ from amhe_cli.core.spectrum import Smooth, smooth
 from amhe_cli.engine.states import home
 from amhe_cli.matching.starts import tangent_of
 from amhe_cli.system.description.data import Channel
-from amhe_cli.system.model.couplings import set_followers
+from amhe_cli.system.model.elements import set_followers
 from amhe_cli.system.system import System
 
 #: Fewest samples of a stretch that is smoothed.

@@ -17,7 +17,7 @@ from amhe_cli.core.log import Log, Window
 from amhe_cli.core.signals import Series
 from amhe_cli.core.statistics import white_noise_sd
 from amhe_cli.system.description.data import Channel
-from amhe_cli.system.model.couplings import set_followers
+from amhe_cli.system.model.elements import set_followers
 from amhe_cli.system.model.gaps import Gap, gaps, loose_ends, set_gaps
 from amhe_cli.system.system import System
 

@@ -22,8 +22,7 @@ from amhe_cli.report.identification_page import overlay_section
 from amhe_cli.report.missing import missing_record, missing_section
 from amhe_cli.report.page import Section, Statement, result_page
 from amhe_cli.report.tables import NUMBER, STRONG, Table
-from amhe_cli.system.export.annotated import with_comments
-from amhe_cli.system.export.mjcf import identified_assets, identified_xml
+from amhe_cli.system.export.mjcf import identified_assets, identified_xml, with_comments
 from amhe_cli.system.export.urdf import identified_urdf
 from amhe_cli.system.model.urdf import is_urdf
 from amhe_cli.system.provenance import provenance

@@ -8,8 +8,9 @@ Equal numbers of one kind stand on one data sheet, and are one assumed value.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -22,7 +23,7 @@ from amhe_cli.system.description.targets import gain_cells
 from amhe_cli.system.model.elements import matching_rows
 from amhe_cli.system.model.files import compiled
 from amhe_cli.system.parameters.calibration import SignalCalibration
-from amhe_cli.system.parameters.edits import Cells, Mode, range_cells
+from amhe_cli.system.parameters.edits import CALIBRATION, Cells, Mode, range_cells
 from amhe_cli.system.parameters.gear_friction import number_cells
 from amhe_cli.system.parameters.model_edits import Held, ModelEdits
 from amhe_cli.system.system import System
@@ -33,12 +34,14 @@ _LISTED = 3
 _HALF = 0.5
 #: What follows the name of an element whose number is written several times, by axis.
 _AXES = "xyz"
-#: Fields whose row says enough, with the kind, its sd in the settings, and how the kind is called.
-_BY_DOF = (
-    ("dof_damping", "damping", "damping"),
-    ("dof_armature", "armature", "armature"),
-    ("dof_frictionloss", "friction_loss", "dry friction"),
-)
+#: Fields of degrees of freedom: the kind's sd in the settings, and how the kind is called.
+_BY_DOF = {
+    "dof_damping": ("damping", "damping"),
+    "dof_armature": ("armature", "armature"),
+    "dof_frictionloss": ("friction_loss", "dry friction"),
+}
+#: Field and row of numbers that parameters set.
+_Taken = Collection[tuple[str, int]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,8 +115,7 @@ def _general(system: System, values: Sequence[Assumed]) -> mujoco.MjModel:
     return compiled(spec)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Acting:
+class Acting(NamedTuple):
     """What acts in n states of rollouts.
 
     Args:
@@ -170,25 +172,15 @@ def acting(
     return Acting(*(np.array(column, dtype=bool) for column in zip(*rows, strict=True)))
 
 
-def joined(parts: Sequence[Acting]) -> Acting:
+def joined(parts: Iterable[Acting]) -> Acting:
     """What acts in the states of several parts."""
-    names = (one.name for one in fields(Acting))
-    return Acting(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    return Acting(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _beyond(values: FloatArray, limits: FloatArray) -> BoolArray:
     """Which values are at an end of their range, or past it."""
     near = 1e-9 * (limits[:, 1] - limits[:, 0])
     return (values <= limits[:, 0] + near) | (values >= limits[:, 1] - near)
-
-
-@dataclass(frozen=True, slots=True)
-class _Member:
-    """One number of a kind: whose it is, where it is, and of a limit in which states (n,) it acts."""
-
-    of: str
-    cells: tuple[Cells, ...]
-    acts: BoolArray | None = None
 
 
 def assumed_of(
@@ -203,26 +195,32 @@ def assumed_of(
         largest: Key of a channel -> largest value that the logs have of it.
     """
     model, edits, settings = system.model, system.edits, system.settings.identify.assumed
-    taken = edits.taken
+    taken, late = edits.taken, settings.command_delay
     found = [
         Assumed("held", f"{p.name}, measured before", f"{held.value:.3g}", cells, *_change(p, held, mode))
         for p, held, cells, mode in edits.considered()
     ]
-    for setting, kind, members in (*_drives(model, acts), *_joints(model, acts)):
-        free = [member for member in members if not _set(member.cells, taken)]
-        found += _grouped(model, setting, kind, getattr(settings, setting), free)
+    found += _grouped(model, (*_of_actuators(model, acts), *_of_joints(model, acts)), settings, taken)
     found += _gears(model, system.settings.identify.geared, settings, taken)
     found += _ranges(model, settings.joint_limit, acts.joint)
-    found += _centres(model, edits, settings.center_of_mass, felt)
-    found += _masses(model, settings.mass, taken)
-    found += _places(model, settings.geometry, taken)
+    found += _bodies(model, settings, taken, _weighed(edits, felt))
     found += _tilts(model, settings.gravity, taken)
     found += _biases(system, settings.force_bias, largest, taken)
     if edits.prompt:
-        late = settings.command_delay
-        what = "commands that act at once"
-        found.append(Assumed("command_delay", what, "", edits.prompt, "add", late, 1000.0 * late, "ms"))
+        found.append(_off("command_delay", "commands that act at once", edits.prompt, late, (1000.0, "ms")))
     return found
+
+
+def _share(setting: str, name: str, value: str, cells: Iterable[Cells], share: float) -> Assumed:
+    """Numbers that may be off by a share of them."""
+    return Assumed(setting, name, value, tuple(cells), "scale", share, 100.0 * share, "%")
+
+
+def _off(
+    setting: str, name: str, cells: Iterable[Cells], sd: float, shown: tuple[float, str], value: str = ""
+) -> Assumed:
+    """Numbers that may be off by so much; `shown` is what people read `sd` in: its factor, and the unit."""
+    return Assumed(setting, name, value, tuple(cells), "add", sd, sd * shown[0], shown[1])
 
 
 def _change(parameter: Parameter, held: Held, mode: Mode) -> tuple[Mode, float, float, str]:
@@ -234,66 +232,53 @@ def _change(parameter: Parameter, held: Held, mode: Mode) -> tuple[Mode, float, 
     return "add", held.sd, held.sd, parameter.unit
 
 
-def _set(cells: Sequence[Cells], taken: Collection[tuple[str, int]]) -> bool:
+def _set(cells: Iterable[Cells], taken: _Taken) -> bool:
     return any((one.field, one.row) in taken for one in cells)
 
 
-#: Setting of a kind of numbers, what the kind is called, and the numbers.
-_Kind = tuple[str, str, list[_Member]]
+class _Number(NamedTuple):
+    """One number of a kind: the kind's setting and name, whose it is, where, and when it acts, shape (n,)."""
+
+    setting: str
+    kind: str
+    of: str
+    cells: list[Cells]
+    acts: BoolArray | None = None
 
 
-def _drives(model: mujoco.MjModel, acts: Acting) -> Iterator[_Kind]:
+def _of_actuators(model: mujoco.MjModel, acts: Acting) -> Iterator[_Number]:
     """Gains and limits of actuators; of actuators that amhe added, which play measured forces, none."""
-    rows = [row for row in range(model.nactuator) if _own(model.actuator(row).name)]
-
-    def acting_on(hit: BoolArray, column: Callable[[int], int] = int) -> Iterator[tuple[int, str, BoolArray]]:
-        return ((r, model.actuator(r).name, hit[:, column(r)]) for r in rows if hit[:, column(r)].any())
-
-    def control(row: int) -> int:
-        return int(model.actuator_ctrladr[row])
-
-    driving, limited = list(acting_on(acts.driving)), acting_on(acts.force)
-    yield "gain", "gain", [_Member(name, tuple(gain_cells(model, r))) for r, name, _ in driving]
-    velocity = [_Member(name, tuple(_velocity_gain(model, r))) for r, name, _ in driving]
-    yield "gain", "velocity gain", velocity
-    ends = [_Member(n, tuple(range_cells(model, "actuator_forcerange", r)), hit) for r, n, hit in limited]
-    yield "force_limit", "force limit", ends
-    ends = [
-        _Member(name, tuple(range_cells(model, "actuator_ctrlrange", control(row))), hit)
-        for row, name, hit in acting_on(acts.ctrl, control)
-    ]
-    yield "ctrl_limit", "control limit", ends
+    for row in range(model.nactuator):
+        if not (name := _own(model.actuator(row).name)):
+            continue
+        if acts.driving[:, row].any():
+            yield _Number("gain", "gain", name, gain_cells(model, row))
+            speed = Cells("actuator_biasprm", row, (2,), -1.0)  # of a position servo that has its own
+            servo = int(model.actuator_biastype[row]) == mujoco.mjtBias.mjBIAS_AFFINE
+            if servo and model.actuator_biasprm[row, 2] and speed not in gain_cells(model, row):
+                yield _Number("gain", "velocity gain", name, [speed])
+        ctrl = int(model.actuator_ctrladr[row])
+        for setting, kind, field, at, hit in (
+            ("force_limit", "force limit", "actuator_forcerange", row, acts.force[:, row]),
+            ("ctrl_limit", "control limit", "actuator_ctrlrange", ctrl, acts.ctrl[:, ctrl]),
+        ):
+            if hit.any():
+                yield _Number(setting, kind, name, range_cells(model, field, at), hit)
 
 
-def _velocity_gain(model: mujoco.MjModel, row: int) -> list[Cells]:
-    """The velocity term of a position servo, where it has one of its own."""
-    if int(model.actuator_biastype[row]) != mujoco.mjtBias.mjBIAS_AFFINE:
-        return []
-    cells = Cells("actuator_biasprm", row, (2,), -1.0)
-    return [cells] if model.actuator_biasprm[row, 2] and cells not in gain_cells(model, row) else []
-
-
-def _joints(model: mujoco.MjModel, acts: Acting) -> Iterator[_Kind]:
+def _of_joints(model: mujoco.MjModel, acts: Acting) -> Iterator[_Number]:
     """Damping, armature, dry friction, stiffness and force limits of joints, where the model has any."""
-    joints = [(row, model.joint(row).name) for row in range(model.njnt) if model.joint(row).name]
-    for field, setting, kind in _BY_DOF:
-        values = getattr(model, field)
-        each = [(name, [dof for dof in _dofs(model, row) if values[dof]]) for row, name in joints]
-        yield setting, kind, [_Member(n, tuple(Cells(field, dof) for dof in dofs)) for n, dofs in each]
-    springs = [_Member(n, (Cells("jnt_stiffness", r),)) for r, n in joints if np.any(model.jnt_stiffness[r])]
-    yield "stiffness", "stiffness", springs
-    ends = [
-        _Member(name, tuple(range_cells(model, "jnt_actfrcrange", row)), acts.joint_force[:, row])
-        for row, name in joints
-        if acts.joint_force[:, row].any()
-    ]
-    yield "force_limit", "force limit", ends
-
-
-def _dofs(model: mujoco.MjModel, row: int) -> range:
-    begin = int(model.jnt_dofadr[row])
-    later = [int(adr) for adr in model.jnt_dofadr if adr > begin]
-    return range(begin, min(later, default=model.nv))
+    for row in range(model.njnt):
+        if not (name := model.joint(row).name):
+            continue
+        for field, (setting, kind) in _BY_DOF.items():
+            dofs = np.flatnonzero((model.dof_jntid == row) & (getattr(model, field) != 0.0))
+            yield _Number(setting, kind, name, [Cells(field, int(dof)) for dof in dofs])
+        if np.any(model.jnt_stiffness[row]):
+            yield _Number("stiffness", "stiffness", name, [Cells("jnt_stiffness", row)])
+        if (hit := acts.joint_force[:, row]).any():
+            ends = range_cells(model, "jnt_actfrcrange", row)
+            yield _Number("force_limit", "force limit", name, ends, hit)
 
 
 def _own(name: str, unnamed: str = "") -> str:
@@ -301,41 +286,35 @@ def _own(name: str, unnamed: str = "") -> str:
 
 
 def _grouped(
-    model: mujoco.MjModel, setting: str, kind: str, share: float, members: Sequence[_Member]
+    model: mujoco.MjModel, numbers: Iterable[_Number], settings: AssumedSettings, taken: _Taken
 ) -> Iterator[Assumed]:
-    """Numbers of one kind; those that are equal are one."""
-    groups: dict[float, list[_Member]] = {}
-    for member in members:
-        if member.cells:
-            value = float(f"{member.cells[0].of(model)[0]:.6g}")
-            groups.setdefault(value, []).append(member)
-    for value, equal in groups.items():
-        names = [member.of for member in equal]
+    """Numbers that no parameter sets; those of one kind that are equal are one."""
+    groups: dict[tuple[str, str, float], list[_Number]] = {}
+    for one in numbers:
+        if one.cells and not _set(one.cells, taken):
+            value = float(f"{one.cells[0].of(model)[0]:.6g}")
+            groups.setdefault((one.setting, one.kind, value), []).append(one)
+    for (setting, kind, value), equal in groups.items():
+        names = [one.of for one in equal]
         more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
-        cells = tuple(cell for member in equal for cell in member.cells)
-        acts = [member.acts for member in equal if member.acts is not None]
-        share_of_steps = float(np.any(acts, axis=0).mean()) if acts else None
-        yield Assumed(
-            setting, f"the {kind} of {', '.join(names[:_LISTED])}{more}", f"{value:g}", cells, "scale", share,
-            100.0 * share, "%", share_of_steps,
-        )  # fmt: skip
+        name = f"the {kind} of {', '.join(names[:_LISTED])}{more}"
+        cells = [cell for one in equal for cell in one.cells]
+        hits = [one.acts for one in equal if one.acts is not None]
+        found = _share(setting, name, f"{value:g}", cells, getattr(settings, setting))
+        yield replace(found, acts=float(np.any(hits, axis=0).mean()) if hits else None)
 
 
 def _ranges(model: mujoco.MjModel, share: float, hit: BoolArray) -> Iterator[Assumed]:
     for row in map(int, np.flatnonzero(hit.any(axis=0))):
-        sd = share * float(np.ptp(model.jnt_range[row]))
+        extent = float(np.ptp(model.jnt_range[row]))
         ends = (Cells("jnt_range", row, (1,)), Cells("jnt_range", row, (0,), -1.0))
         name = f"the range of joint {model.joint(row).name}"
-        yield Assumed(
-            "joint_limit", name, "", ends, "add", sd, 100.0 * share, "% of it", float(hit[:, row].mean())
-        )
+        found = _off("joint_limit", name, ends, share * extent, (100.0 / extent, "% of it"))
+        yield replace(found, acts=float(hit[:, row].mean()))
 
 
 def _gears(
-    model: mujoco.MjModel,
-    geared: Sequence[str],
-    settings: AssumedSettings,
-    taken: Collection[tuple[str, int]],
+    model: mujoco.MjModel, geared: Sequence[str], settings: AssumedSettings, taken: _Taken
 ) -> Iterator[Assumed]:
     """What friction of geared joints may have besides a constant, and the springs that cables make."""
     rows = {row for pattern in geared for row in matching_rows(model, "joint", pattern)}
@@ -346,27 +325,19 @@ def _gears(
         dry, arm = float(model.dof_frictionloss[dof]), data.subtree_com[body] - data.xanchor[row]
         weight = float(model.body_subtreemass[body] * np.linalg.norm(model.opt.gravity))
         lever = float(np.linalg.norm(arm - (arm @ data.xaxis[row]) * data.xaxis[row]))
-        share, rest, stiffness = (
-            settings.load_friction / np.sqrt(2.0),
-            settings.stribeck * dry,
-            settings.spring,
-        )
-        stiffness *= weight * lever
-        for setting, word, what, sd, unit in (
+        share = settings.load_friction / np.sqrt(2.0)
+        for setting, word, what, sd, shown in (
             ("load_friction", "load_friction_motor", "whatever its motor does", share, "% of the torque"),
             ("load_friction", "load_friction_external", "whatever its load", share, "% of the load"),
-            ("stribeck", "stribeck_friction", "also at rest", rest, "N m"),
+            ("stribeck", "stribeck_friction", "also at rest", settings.stribeck * dry, "N m"),
         ):
-            cells = tuple(number_cells(model, row, word))
+            cells, what = number_cells(model, row, word), f"the constant friction of {name}, {what}"
             if sd and not _set(cells, taken):
-                what = f"the constant friction of {name}, {what}"
-                amount = 100.0 * sd if unit.startswith("%") else sd
-                yield Assumed(setting, what, "", cells, "add", sd, amount, unit, grows=True)
-        spring = (Cells("jnt_stiffness", row),)
-        if stiffness and not _set(spring, taken) and not np.any(model.jnt_stiffness[row]):
-            yield Assumed(
-                "spring", f"no spring at {name}", "", spring, "add", stiffness, stiffness, "N m/rad"
-            )
+                factor = 100.0 if shown.startswith("%") else 1.0
+                yield replace(_off(setting, what, cells, sd, (factor, shown)), grows=True)
+        spring, stiffness = Cells("jnt_stiffness", row), settings.spring * weight * lever
+        if stiffness and not _set([spring], taken) and not np.any(model.jnt_stiffness[row]):
+            yield _off("spring", f"no spring at {name}", [spring], stiffness, (1.0, "N m/rad"))
 
 
 def _moving(model: mujoco.MjModel) -> list[int]:
@@ -375,48 +346,38 @@ def _moving(model: mujoco.MjModel) -> list[int]:
     return [row for row in rows if model.body_mass[row] > 0.0]
 
 
-def _centres(
-    model: mujoco.MjModel, edits: ModelEdits, length: float, felt: Collection[str]
+def _weighed(edits: ModelEdits, felt: Collection[str]) -> set[int]:
+    """Bodies whose mass is unknown and felt."""
+    written = (cells for parameter, each in edits.by_parameter() if parameter.name in felt for cells in each)
+    return {cells.row for cells in written if cells.field == "body_mass"}
+
+
+def _bodies(
+    model: mujoco.MjModel, settings: AssumedSettings, taken: _Taken, weighed: Collection[int]
 ) -> Iterator[Assumed]:
-    """Centres of mass of bodies whose mass is unknown."""
-    placed = {cells.row for cells in edits.cells if cells.field == "body_ipos"}
-    weighed = {
-        cells.row
-        for parameter, written in edits.by_parameter()
-        for cells in written
-        if cells.field == "body_mass" and parameter.name in felt
-    }
-    for row in sorted(weighed - placed):
-        for axis, name in enumerate(_AXES):
-            what = f"the centre of mass of {model.body(row).name} along {name}"
-            cells = (Cells("body_ipos", row, (axis,)),)
-            yield Assumed("center_of_mass", what, "", cells, "add", length, 1000.0 * length, "mm")
-
-
-def _masses(model: mujoco.MjModel, share: float, taken: Collection[tuple[str, int]]) -> Iterator[Assumed]:
-    """One scale of all bodies that move and that no parameter weighs: their model has one author."""
-    rows = [row for row in _moving(model) if ("body_mass", row) not in taken]
-    inertias = [Cells("body_inertia", row, (0, 1, 2)) for row in rows if ("body_inertia", row) not in taken]
-    if rows:
-        total = float(model.body_mass[rows].sum())
-        cells = (*(Cells("body_mass", row) for row in rows), *inertias)
-        value = f"{total:.3g} kg"
-        yield Assumed("mass", "the masses of the links", value, cells, "scale", share, 100.0 * share, "%")
-
-
-def _places(model: mujoco.MjModel, share: float, taken: Collection[tuple[str, int]]) -> Iterator[Assumed]:
-    """Where each link stands on the one before it: the length of that one."""
-    for row in _moving(model):
+    """Centres of mass of bodies whose mass is unknown, one scale of all others, and the links' lengths."""
+    for row in sorted(weighed):
+        for axis, name in enumerate(_AXES if ("body_ipos", row) not in taken else ""):
+            what, cells = (
+                f"the centre of mass of {model.body(row).name} along {name}",
+                Cells("body_ipos", row, (axis,)),
+            )
+            yield _off("center_of_mass", what, [cells], settings.center_of_mass, (1000.0, "mm"))
+    # bodies that no parameter weighs: their model has one author
+    if rows := [row for row in _moving(model) if ("body_mass", row) not in taken]:
+        cells = [Cells("body_mass", row) for row in rows]
+        cells += [Cells("body_inertia", row, (0, 1, 2)) for row in rows if ("body_inertia", row) not in taken]
+        total = f"{float(model.body_mass[rows].sum()):.3g} kg"
+        yield _share("mass", "the masses of the links", total, cells, settings.mass)
+    for row in _moving(model):  # where each link stands on the one before it is the length of that one
         parent, place = int(model.body_parentid[row]), model.body_pos[row]
         if model.body_weldid[parent] and np.any(place) and ("body_pos", row) not in taken:
             name, base = _own(model.body(row).name, "a body"), _own(model.body(parent).name, "its parent")
-            what = f"the place of {name} on {base}"
-            cells = (Cells("body_pos", row, (0, 1, 2)),)
-            value = f"{float(np.linalg.norm(place)):.3g} m"
-            yield Assumed("geometry", what, value, cells, "scale", share, 100.0 * share, "%")
+            length, cells = f"{float(np.linalg.norm(place)):.3g} m", [Cells("body_pos", row, (0, 1, 2))]
+            yield _share("geometry", f"the place of {name} on {base}", length, cells, settings.geometry)
 
 
-def _tilts(model: mujoco.MjModel, angle: float, taken: Collection[tuple[str, int]]) -> Iterator[Assumed]:
+def _tilts(model: mujoco.MjModel, angle: float, taken: _Taken) -> Iterator[Assumed]:
     """How level a fixed base stands, about two axes; one number where several trees stand on one floor."""
     free = {int(model.jnt_bodyid[j]) for j in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)}
     moving = {int(model.body_rootid[row]) for row in _moving(model)}
@@ -429,20 +390,18 @@ def _tilts(model: mujoco.MjModel, angle: float, taken: Collection[tuple[str, int
             w, v = float(model.body_quat[row, 0]), np.array(model.body_quat[row, 1:])
             change = 0.5 * np.array([-turn @ v, *(w * turn + np.cross(turn, v))])
             cells += [Cells("body_quat", row, (k,), float(c)) for k, c in enumerate(change) if c]
-        what = f"the base's tilt about {name}"
-        yield Assumed("gravity", what, "level", tuple(cells), "add", angle, angle, "rad")
+        yield _off("gravity", f"the base's tilt about {name}", cells, angle, (1.0, "rad"), "level")
 
 
-def _biases(
-    system: System, share: float, largest: Mapping[str, float], taken: Collection[tuple[str, int]]
-) -> Iterator[Assumed]:
+def _biases(system: System, share: float, largest: Mapping[str, float], taken: _Taken) -> Iterator[Assumed]:
     """Zeros of the force and torque sensors that are compared."""
-    calibration = _with_biases(system)
+    readings = _with_biases(system).readings
     for channel in _forces(system):
-        sd, unit = share * largest[channel.key], "% of its largest value"
-        for axis, row in zip(_AXES, calibration.readings[channel.key].bias, strict=False):
-            if ("calibration", row) not in taken:
-                what = f"the bias of {channel.key} along {axis}"
-                yield Assumed(
-                    "force_bias", what, "", (Cells("calibration", row),), "add", sd, 100.0 * share, unit
+        size = largest[channel.key]
+        for axis, row in zip(_AXES, readings[channel.key].bias, strict=False):
+            if (CALIBRATION, row) not in taken:
+                what, shown = (
+                    f"the bias of {channel.key} along {axis}",
+                    (100.0 / (size or 1.0), "% of its largest value"),
                 )
+                yield _off("force_bias", what, [Cells(CALIBRATION, row)], share * size, shown)

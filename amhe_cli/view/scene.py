@@ -11,7 +11,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.engine.states import contact_forces
-from amhe_cli.system.model.couplings import couplings
+from amhe_cli.system.model.elements import couplings
 from amhe_cli.system.system import System
 from amhe_cli.view.shapes import Shape, boxed, shape_of
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from amhe_cli.core.each_log import acting, check_logs, named, searched, values_on
+from amhe_cli.core.each_log import acting, check_logs, named, searched, trended, values_on
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.log import Log
 from amhe_cli.core.parameters import Parameter, ParameterSpace
@@ -123,3 +123,33 @@ def test_what_the_system_does_not_have_is_refused(stated: dict[str, Any], text: 
 def test_a_held_out_log_needs_what_the_others_know() -> None:
     with pytest.raises(ConfigError, match="test: `known`: gain is known in every fitted log"):
         check_logs([log(known={"gain": 1.0})], [log("test")], MODEL)
+
+
+def test_a_trend_is_two_unknowns_between_which_each_log_has_its_place() -> None:
+    logs = [log(trend={"friction": at, "bias": at}) for at in (0.0, 0.25, 1.0)] + [
+        log(known={"friction": 0.5})
+    ]
+    logs[-1] = logs[-1].with_(trend={"bias": 0.5, "friction": 0.5})
+    check_logs(logs, [log()], MODEL)
+    space = searched(MODEL, logs)
+    assert space.names == ("gain", "friction[start]", "friction[end]", "bias[start]", "bias[end]")
+    theta = np.array([[1.0, 0.1, 0.4, 0.0, 0.8]])
+    found = np.array([values_on(one, MODEL, space, theta)[0, 1:] for one in logs])
+    np.testing.assert_allclose(found[:, 0], [0.1, 0.1 * 4**0.25, 0.4, 0.5])  # straight in the logarithm
+    np.testing.assert_allclose(found[:, 1], [0.0, 0.2, 0.8, 0.4])
+    np.testing.assert_allclose(values_on(log(), MODEL, space, theta)[0, 1:], [0.2, 0.4])  # the middle
+    assert logs[1].digest() != logs[2].digest()
+
+
+def test_the_places_on_a_trend_are_those_of_the_stamps() -> None:
+    hour = 3600 * 10**9
+    logs = [replace(log(), start_ns=1_700_000_000 * 10**9 + hours * hour) for hours in (2, 0, 8)]
+    assert [one.trend for one in trended(logs, ["gain"])] == [{"gain": at} for at in (0.25, 0.0, 1.0)]
+    with pytest.raises(ConfigError, match="`trend`: gain: needs logs, or parts of one, of different times"):
+        trended(logs[:1], ["gain"])
+
+
+@pytest.mark.parametrize("more", [{}, {"trend": {"bias": 0.0}}, {"own": ["bias"], "trend": {"bias": 1.0}}])
+def test_a_trend_of_some_logs_only_is_refused(more: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match="run: `trend`: bias needs two places or more"):
+        check_logs([log(trend={"bias": 0.0}), log(**more)], [], MODEL)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.system.model.couplings import followers
+from amhe_cli.system.model.elements import followers
 from amhe_cli.system.model.files import compiled, read_spec
 from amhe_cli.system.model.urdf import UrdfOptions
 from amhe_cli.system.system import System

@@ -10,8 +10,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.engine.states import home
-from amhe_cli.system.model.couplings import floats
-from amhe_cli.system.model.elements import commanded
+from amhe_cli.system.model.elements import commanded, floats
 from amhe_cli.system.system import System
 
 #: Slowest and fastest frequency of a chirp [Hz].

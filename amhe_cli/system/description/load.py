@@ -21,7 +21,7 @@ from amhe_cli.system.description.efforts import matching_efforts, unpowered, win
 from amhe_cli.system.description.folders import FILE_NAME, find_system
 from amhe_cli.system.description.parameters import generalise, unknowns_of
 from amhe_cli.system.description.schema import Description, SystemEntry, robot_groups, validated
-from amhe_cli.system.description.signals import draft_wiring
+from amhe_cli.system.description.wiring import draft_wiring
 from amhe_cli.system.model.elements import id_of, matching_rows
 from amhe_cli.system.model.files import compiled, read_spec, resize_boxes, spec_of
 from amhe_cli.system.model.urdf import UrdfOptions, is_urdf

@@ -129,17 +129,23 @@ class Servos:
         return bias
 
 
-def with_servos(model: mujoco.MjModel) -> tuple[mujoco.MjModel, Callable[[mujoco.MjData], None]]:
-    """A copy of a model, and what gives its servos their torques in it: call it before actuation."""
+def with_servos(
+    model: mujoco.MjModel, qpos: FloatArray, qvel: FloatArray, ctrl: FloatArray, act: FloatArray
+) -> tuple[mujoco.MjModel, Callable[[int], None]]:
+    """A copy of a model, and what gives its servos their torques in it at one of n instants.
+
+    Args:
+        model: The model.
+        qpos, qvel, ctrl, act: The instants, each (n, ...).
+    """
     servos = Servos.of(model)
     if servos is None:
-        return model, lambda data: None
-    free, law = servos.unlimited(), servos.law(lambda name: getattr(model, name)[None])
+        return model, lambda instant: None
+    free, rows = servos.unlimited(), servos.rows
+    biases = servos.law(lambda name: getattr(model, name)[None])(qpos, qvel, ctrl, act)
 
-    def drive(data: mujoco.MjData) -> None:
-        free.actuator_biasprm[servos.rows, 0] = law(
-            data.qpos[None], data.qvel[None], data.ctrl[None], data.act[None]
-        )
+    def drive(instant: int) -> None:
+        free.actuator_biasprm[rows, 0] = biases[instant]
 
     return free, drive
 

@@ -143,3 +143,28 @@ def test_each_logs_own_friction_is_found(swing: Callable[..., Log], pendulum: Sy
     assert "friction_loss: spread of its 4 values" in result.table
     assert result.record()["spreads"][0]["name"] == "friction_loss"
     assert result.model().dof_frictionloss[0] == pytest.approx(mean.estimate)
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("growth", [2.5, 1.0])
+def test_a_drift_of_friction_is_found_and_none_where_there_is_none(
+    growth: float, swing: Callable[..., Log], pendulum: System
+) -> None:
+    places = (0.0, 0.4, 1.0)
+    logs = [
+        swing(2.0, seed=i, theta=np.array([0.55, 0.03, 0.02 * growth**at, 0.006])).with_(
+            trend={"friction_loss": at}
+        )
+        for i, at in enumerate(places)
+    ]
+    found = identify(pendulum, logs[::2], held_out=logs[1], threads=1).found
+    start, end = (p for p in found.parameters if p.name.startswith("friction_loss["))
+    assert (start.name, end.name) == ("friction_loss[start]", "friction_loss[end]")
+    for line, truth in ((start, 0.02), (end, 0.02 * growth)):
+        assert abs(line.estimate - truth) < 3.0 * line.sd and line.sd < 0.2 * truth, line.name
+    apart = np.log(end.estimate / start.estimate)
+    sd = np.hypot(start.sd / start.estimate, end.sd / end.estimate)
+    assert (apart > 4.0 * sd) == (growth > 1.0)
+    assert not [p.name for p in found.parameters if p.verdict == "model-sensitive"], (
+        "the log between fits too"
+    )
