@@ -44,6 +44,8 @@ class Belief(Displayed):
         fixed: Parameters that had fixed values, which the belief rests on.
         systematic: The part of the covariance that comes from the model and not from the logs' noise, so that
             more logs do not narrow it, shape (d, d); None: none is known.
+        owed: Of this part, the errors of known causes, such as a number that the model takes for granted:
+            each cause, and the error of phi that one sd of it makes, shape (d,). Other logs have the same.
     """
 
     system: str
@@ -57,6 +59,7 @@ class Belief(Displayed):
     sets: Mapping[str, str] = field(default_factory=dict)
     fixed: Mapping[str, float] = field(default_factory=dict)
     systematic: FloatArray | None = None
+    owed: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         values = zip(self.names, self.estimate, self.sd, self.units, strict=True)
@@ -136,6 +139,7 @@ class Belief(Displayed):
             estimate=self.estimate[rows],
             covariance=self.covariance[np.ix_(rows, rows)],
             systematic=None if self.systematic is None else self.systematic[np.ix_(rows, rows)],
+            owed={cause: error[rows] for cause, error in self.owed.items()},
         )
 
     def without(self, names: Collection[str]) -> Belief:
@@ -163,6 +167,7 @@ class Belief(Displayed):
             covariance=self.covariance[np.ix_(o, o)] - gain @ self.covariance[np.ix_(f, o)],
             fixed={**self.fixed, **{self.names[i]: values[self.names[i]] for i in f}},
             systematic=None if self.systematic is None else left @ self.systematic @ left.T,
+            owed={cause: left @ error for cause, error in self.owed.items()},
         )
 
 
@@ -172,10 +177,12 @@ def belief_of(
     covariance: FloatArray,
     provenance: dict[str, object] | None = None,
     systematic: FloatArray | None = None,
+    owed: Mapping[str, FloatArray] | None = None,
 ) -> Belief:
     """Belief about a system's parameters, of an estimate z (d,) with covariance (d, d) in z.
 
-    `systematic` is the part of the covariance that comes from the model, likewise in z.
+    `systematic` is the part of the covariance that comes from the model, and `owed` its errors of known
+    causes, likewise in z.
     """
     space = system.space
     scale = np.outer(space.prior_sd, space.prior_sd)
@@ -191,6 +198,7 @@ def belief_of(
         sets=system.sets,
         fixed=system.fixed,
         systematic=None if systematic is None else systematic * scale,
+        owed={cause: error * space.prior_sd for cause, error in (owed or {}).items()},
     )
 
 
@@ -203,7 +211,8 @@ def held_by(belief: Belief) -> dict[str, dict[str, float]]:
 def completed(belief: Belief, system: Described) -> Belief:
     """A belief over all parameters of a system: what it does not know has its prior."""
     systematic = None if belief.systematic is None else system.space.systematic_of(belief)
-    return belief_of(system, *system.space.gaussian_of(belief), dict(belief.provenance), systematic)
+    gaussian, owed = system.space.gaussian_of(belief), system.space.owed_of(belief)
+    return belief_of(system, *gaussian, dict(belief.provenance), systematic, owed)
 
 
 #: Version of the layout of belief files.
@@ -218,7 +227,8 @@ _HEADER = """\
 # What is believed of the parameters of a system: an estimate, and how sure it is.
 # `covariance` is of log(estimate) where scale is log, of the estimate where it is linear;
 # `sd`, `lower` and `upper` (90 %) follow from it and are for people: reading ignores them.
-# `systematic` is the part of `covariance` that comes from the model, which more logs do not narrow.
+# `systematic` is the part of `covariance` that comes from the model, which more logs do not narrow;
+# `owed` has what of it one sd of each known cause makes.
 # `model` has a hash of each part of the model, and `sets` says what a parameter sets in it: where they
 # differ, the belief is refused. `fixed` are parameters that were taken as known.
 """
@@ -244,6 +254,7 @@ class _File(BaseModel):
     parameters: Annotated[list[_Entry], Field(min_length=1)]
     covariance: list[list[FiniteFloat]]
     systematic: list[list[FiniteFloat]] | None = None
+    owed: dict[str, list[FiniteFloat]] = {}
     fixed: dict[str, FiniteFloat] = {}
     provenance: dict[str, Any] = {}
 
@@ -257,6 +268,7 @@ def belief_text(belief: Belief) -> str:
         "parameters": [_entry(belief, i) for i in range(len(belief.names))],
         "covariance": belief.covariance.tolist(),
         **({} if belief.systematic is None else {"systematic": belief.systematic.tolist()}),
+        **({"owed": {cause: error.tolist() for cause, error in belief.owed.items()}} if belief.owed else {}),
         "fixed": dict(belief.fixed),
         "provenance": belief.provenance,
     }
@@ -306,6 +318,8 @@ def read_belief(path: Path, system: Described | None = None, belief_anyway: bool
         file.problem(("covariance",), mistake)
     elif content.systematic is not None and not _is_part(content.systematic, content.covariance):
         file.problem(("systematic",), "systematic must be symmetric, positive and no more than covariance")
+    elif not _are_parts(list(content.owed.values()), content.systematic or []):
+        file.problem(("owed",), f"owed must have errors of {len(names)} numbers, a part of systematic")
     for i, entry in enumerate(content.parameters if not mistake else ()):
         sd, most = content.covariance[i][i] ** 0.5, _widest(entry)
         if sd > most:
@@ -325,6 +339,7 @@ def read_belief(path: Path, system: Described | None = None, belief_anyway: bool
         sets={entry.name: entry.sets for entry in content.parameters if entry.sets},
         fixed=content.fixed,
         systematic=None if content.systematic is None else np.array(content.systematic),
+        owed={cause: np.array(error) for cause, error in content.owed.items()},
     )
     if system is None:
         return belief
@@ -411,6 +426,13 @@ def _covariance_mistake(rows: list[list[float]], size: int) -> str | None:
     if not np.allclose(covariance, covariance.T) or np.linalg.eigvalsh(covariance).min() <= 0.0:
         return "covariance must be symmetric and positive definite"
     return None
+
+
+def _are_parts(errors: list[list[float]], systematic: list[list[float]]) -> bool:
+    """Whether errors, each of one cause, are together a part of a covariance."""
+    if any(len(error) != len(systematic) for error in errors):
+        return False
+    return not errors or _is_part((np.array(errors).T @ np.array(errors)).tolist(), systematic)
 
 
 def _is_part(rows: list[list[float]], covariance: list[list[float]]) -> bool:

@@ -83,7 +83,8 @@ def searched(space: ParameterSpace, logs: Sequence[Log]) -> ParameterSpace:
         if given is not None:
             matrix[np.ix_(kept, kept)] = np.array(given)[np.ix_(those, those)]
         rows.append(None if given is None else rows_of(matrix))
-    return ParameterSpace(tuple(parameters), *rows)
+    owed = tuple((name, tuple(e[i] if i >= 0 else 0.0 for i in columns)) for name, e in space.prior_owed)
+    return ParameterSpace(tuple(parameters), *rows, owed)
 
 
 def values_on(log: Log, model: ParameterSpace, space: ParameterSpace, theta: FloatArray) -> FloatArray:

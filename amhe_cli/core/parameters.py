@@ -98,6 +98,11 @@ class GaussianBelief(Protocol):
         """The part of it that comes from the model, shape (d, d); None: none is known."""
         ...
 
+    @property
+    def owed(self) -> Mapping[str, FloatArray]:
+        """Of this part, the errors of known causes, by the cause, one sd long each, shape (d,)."""
+        ...
+
 
 @dataclass(frozen=True)
 class ParameterSpace:
@@ -108,11 +113,13 @@ class ParameterSpace:
         prior_correlation: Prior correlation of z, as rows; None: independent.
         prior_systematic: Part of the prior covariance of z that comes from the model, as that of a belief
             does, as rows; None: none is known.
+        prior_owed: Of this part, the errors of z of known causes: each cause, and its error of one sd.
     """
 
     parameters: tuple[Parameter, ...]
     prior_correlation: Rows | None = None
     prior_systematic: Rows | None = None
+    prior_owed: tuple[tuple[str, tuple[float, ...]], ...] = ()
 
     def __len__(self) -> int:
         return len(self.parameters)
@@ -202,7 +209,8 @@ class ParameterSpace:
         rows = (
             None if matrix is None else rows_of(np.array(matrix)[np.ix_(kept, kept)]) for matrix in matrices
         )
-        return ParameterSpace(tuple(self.parameters[i] for i in kept), *rows)
+        owed = tuple((cause, tuple(error[i] for i in kept)) for cause, error in self.prior_owed)
+        return ParameterSpace(tuple(self.parameters[i] for i in kept), *rows, owed)
 
     def gaussian_of(self, belief: GaussianBelief) -> tuple[FloatArray, FloatArray]:
         """Mean z (d,) and covariance (d, d) of a belief; what it does not know has its prior."""
@@ -212,12 +220,20 @@ class ParameterSpace:
 
     def systematic_of(self, belief: GaussianBelief) -> FloatArray:
         """The systematic part of a belief's covariance in z, shape (d, d); 0 of what it does not know."""
-        found = np.zeros((len(self), len(self)))
-        if belief.systematic is not None:
-            rows = [i for i, name in enumerate(self.names) if name in belief.names]
-            own = [belief.names.index(self.names[i]) for i in rows]
-            found[np.ix_(rows, rows)] = belief.systematic[np.ix_(own, own)]
-        return found / np.outer(self.prior_sd, self.prior_sd)
+        if belief.systematic is None:
+            return np.zeros((len(self), len(self)))
+        place = self._place_in(belief)
+        return place @ belief.systematic @ place.T
+
+    def owed_of(self, belief: GaussianBelief) -> dict[str, FloatArray]:
+        """The errors of known causes in a belief, in z, shape (d,); 0 of what it does not know."""
+        place = self._place_in(belief)
+        return {cause: place @ error for cause, error in belief.owed.items()}
+
+    def _place_in(self, belief: GaussianBelief) -> FloatArray:
+        """What turns errors of a belief's phi (b,) into errors of z (d,), shape (d, b)."""
+        own = np.array([[name == other for other in belief.names] for name in self.names], dtype=np.float64)
+        return own / self.prior_sd[:, None]
 
     def with_prior(self, belief: GaussianBelief) -> ParameterSpace:
         """The same parameters with a belief's estimate and covariance as their prior.
@@ -245,7 +261,8 @@ class ParameterSpace:
         )
         if belief.systematic is None:
             return found
-        return replace(found, prior_systematic=rows_of(found.systematic_of(belief)))
+        owed = tuple((cause, tuple(error.tolist())) for cause, error in found.owed_of(belief).items())
+        return replace(found, prior_systematic=rows_of(found.systematic_of(belief)), prior_owed=owed)
 
 
 class Described(Protocol):

@@ -107,6 +107,7 @@ def conclude(
             lines.z,
             covariance + np.diag(lines.next_log),
             systematic=part_of(covariance, lines.ledger.shared),
+            owed=lines.ledger.owed,
         ),
         correlations=evidence.correlations,
         combinations=combinations(space, covariance, evidence.active),

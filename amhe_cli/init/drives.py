@@ -165,7 +165,10 @@ def servo_numbers(
     """
     for name in actuators:
         row = model.actuator(name).id
-        kind, filters = commanded(model, row), (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
+        kind, filters = (
+            commanded(model, row),
+            (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT)),
+        )
         values = {
             "gain": model.actuator_gainprm[row, 0],
             "actuator_damping": -model.actuator_biasprm[row, 2] * (kind == "position"),

@@ -41,6 +41,13 @@ def test_a_belief_survives_its_file(file: Path) -> None:
     assert read.systematic is None
     replace(belief, systematic=0.3 * belief.covariance).save(file)
     np.testing.assert_array_equal(read_belief(file, SYSTEM).systematic, 0.3 * belief.covariance)
+    error = 0.5 * np.linalg.cholesky(belief.covariance)[:, 0]
+    whole = replace(belief, systematic=np.outer(error, error), owed={"the base's tilt": error})
+    whole.save(file)
+    np.testing.assert_array_equal(read_belief(file, SYSTEM).owed["the base's tilt"], error)
+    replace(whole, owed={"the base's tilt": 1.1 * error}).save(file)
+    with pytest.raises(ConfigError, match="owed must have errors"):
+        read_belief(file, SYSTEM)
 
 
 def test_the_numbers_for_people_are_in_the_parameters_own_unit(file: Path) -> None:
@@ -181,7 +188,9 @@ def test_a_fixed_parameter_conditions_the_others(caplog: pytest.LogCaptureFixtur
     known = belief.given({"x": -0.4, "y": 1.0})
     assert known.systematic is None
     # an error b of the model moves m by 0.1 b and x by 0.2 b; the known x corrects m by 0.03 / 0.09 of x's
-    moved = replace(belief, systematic=np.outer([0.1, 0.2], [0.1, 0.2])).given({"x": -0.4})
+    error = np.array([0.1, 0.2])
+    moved = replace(belief, systematic=np.outer(error, error), owed={"b": error}).given({"x": -0.4})
+    np.testing.assert_allclose(moved.owed["b"], [0.1 - 0.2 * 0.03 / 0.09])
     np.testing.assert_allclose(moved.systematic, [[(0.1 - 0.2 * 0.03 / 0.09) ** 2]])
     assert known.names == ("m",) and known.fixed == {"x": -0.4}
     np.testing.assert_allclose(known.estimate, [2.0 * np.exp(0.03 / 0.09 * 0.6)])

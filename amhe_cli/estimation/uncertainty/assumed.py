@@ -228,7 +228,10 @@ class _Nuisances:
     def sources(self) -> list[Source]:
         """What each of them is."""
         rows = [change.source for change in self.changes]
-        return rows + [Source(v.name, v.value, v.amount, v.unit, v.acts) for v in self.values]
+        load = "center_of_mass"
+        return rows + [
+            Source(v.name, v.value, v.amount, v.unit, v.acts, of_load=v.setting == load) for v in self.values
+        ]
 
     def felt(self) -> IntArray:
         """Those that move the estimate by a share of its sd; numbers that do not take no more rollouts."""

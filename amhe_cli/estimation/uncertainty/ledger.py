@@ -55,6 +55,7 @@ class Source:
         parameter: The parameter whose prior it is; '' for none.
         doubted: The logs speak against it: it is no assumption that they leave open.
         apart: Of parts of the data, what separates their estimates, in z.
+        of_load: It is of a body that is weighed, and another body has another error.
     """
 
     name: str
@@ -65,6 +66,7 @@ class Source:
     parameter: str = ""
     doubted: bool = False
     apart: tuple[float, ...] = ()
+    of_load: bool = False
 
     def __str__(self) -> str:
         return f"{self.name} ({self.value})" if self.value else self.name
@@ -122,6 +124,12 @@ class Ledger:
         """The part that other logs would have as well, shape (d, d)."""
         zero = np.zeros_like(self.covariance)
         return np.sum([zero, *(term.covariance for term in self.terms if term.shared)], axis=0)
+
+    @property
+    def owed(self) -> dict[str, FloatArray]:
+        """The errors of this part whose cause has a name, by it, shape (d,)."""
+        shared = (zip(term.sources, term.errors.T, strict=False) for term in self.terms if term.shared)
+        return {source.name: error for pairs in shared for source, error in pairs}
 
     @cached_property
     def sd(self) -> FloatArray:

@@ -83,20 +83,34 @@ def inherited(space: ParameterSpace, fit: FinalFit, terms: list[Term]) -> list[T
     """Terms of logs whose prior is a belief with a shared part S, which errs as these logs do.
 
     The shared errors of these logs move the estimate by 1 - G of themselves, where the prior has the weight
-    G, and those of the belief by G. Both have the same causes, so that they add up, and not their squares;
-    what of the belief's errors these logs do not have at all is a term of its own.
+    G, and those of the belief by G. Errors that have one named cause add up, each with its sign; those of a
+    load are another load's, and stand alone, as do those that only the belief has. Of the rest nobody knows
+    the causes: they count as the same, so that the errors add up, and not their squares.
     """
     if space.prior_systematic is None:
         return terms
     pull = fit.posterior.pull
-    rest = np.eye(len(space)) - pull
-    before = root(pull @ np.array(space.prior_systematic) @ pull.T)
-    moved = [rest @ term.errors for term in terms if term.shared]
-    errors = np.concatenate((*moved, np.zeros((len(space), 0))), axis=1)
+    owed = {cause: pull @ np.array(error) for cause, error in space.prior_owed}
+    known = np.array(list(owed.values())).reshape(-1, len(space))
+    before = root(positive(pull @ np.array(space.prior_systematic) @ pull.T - known.T @ known))
+    shared = [term for term in terms if term.shared]
+    errors = (np.eye(len(space)) - pull) @ np.concatenate(
+        (*(term.errors for term in shared), np.zeros((len(space), 0))), axis=1
+    )
+    edges, named = np.cumsum([0, *(term.errors.shape[1] for term in shared)]), np.zeros(errors.shape[1], bool)
+    for first, term in zip(edges, shared, strict=False):
+        for k, source in enumerate(term.sources, int(first)):
+            if source.name in owed and not source.of_load:
+                errors[:, k] += owed.pop(source.name)
+                named[k] = True
     # the roots of both covariances add: E + root(B) U' has the covariance (root(E E') + root(B))^2 where U'U
     # is the part of the space that E reaches, and the rest of the belief's errors stands alone
-    turn = errors.T @ np.linalg.pinv(root(errors @ errors.T), rcond=ALONE, hermitian=True)
-    joined = iter(np.split(errors + before @ turn.T, np.cumsum([e.shape[1] for e in moved])[:-1], axis=1))
+    some = errors[:, ~named]
+    turn = some.T @ np.linalg.pinv(root(some @ some.T), rcond=ALONE, hermitian=True)
+    errors[:, ~named] += before @ turn.T
+    joined = iter(np.split(errors, edges[1:-1], axis=1))
     result = [replace(term, errors=next(joined)) if term.shared else term for term in terms]
+    alone = np.array(list(owed.values())).reshape(-1, len(space)).T
     left = before @ (np.eye(len(space)) - turn.T @ turn) @ before
-    return [*result, term_of("prior", left, shared=True)]
+    of_belief = Term("prior", alone, tuple(Source(cause) for cause in owed), shared=True)
+    return [*result, of_belief, term_of("prior", left, shared=True)]

@@ -188,3 +188,23 @@ def test_errors_of_one_cause_add_up_exactly_in_any_direction() -> None:
         both = root(rest @ rest.T) + root(pull @ systematic @ pull.T)
         np.testing.assert_allclose(found.shared, both @ both, atol=1e-10)
     assert terms.inherited(SPACE, None, []) == []  # type: ignore[arg-type]
+
+
+def test_errors_of_one_named_cause_cancel_and_those_of_a_load_are_another_loads() -> None:
+    """A belief that errs by e, and logs that would err by e' for one cause: together by G e + (1 - G) e'."""
+    rng = np.random.default_rng(1)
+    known, own = rng.normal(size=(2, 3, 2))
+    systematic = 0.04 * known @ known.T
+    prior = systematic + 0.05 * np.eye(3)
+    rows = (tuple(map(tuple, matrix.tolist())) for matrix in (prior, systematic))
+    owed = tuple(zip(("tilt", "lever"), map(tuple, (0.2 * known.T).tolist()), strict=True))
+    space = ParameterSpace(SPACE.parameters, *rows, owed)
+    fit = fit_of(rng.normal(size=(4, 3, 3)), space.prior_precision)
+    sources = (Source("tilt"), Source("lever", of_load=True))
+    found = Ledger(tuple(terms.inherited(space, fit, [Term("assumed", own, sources, shared=True)])))
+    pull = fit.posterior.pull
+    before, after = pull @ (0.2 * known), (np.eye(3) - pull) @ own
+    one = before[:, 0] + after[:, 0]
+    squares = sum(np.outer(e, e) for e in (one, before[:, 1], after[:, 1]))
+    np.testing.assert_allclose(found.shared, squares, atol=1e-8)
+    assert set(found.owed) == {"tilt", "lever"}
