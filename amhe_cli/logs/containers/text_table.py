@@ -32,6 +32,8 @@ _DELIMITERS = (b",", b";", b"\t")
 _COMMENT = b"#"
 #: Words that stand for a missing number.
 _MISSING = {b"", b"na", b"n/a", b"nan", b"null", b"none", b"-", b"nil"}
+#: A cell that holds several numbers.
+_ARRAY = re.compile(rb"^\s*[\[(](.*)[\])]\s*$")
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +53,11 @@ class Dialect:
     columns: tuple[Column, ...]
     start: int
     comments: tuple[str, ...]
+
+    @property
+    def width(self) -> int:
+        """Numbers in one row, shape of `blocks`: words count one, and are NaN."""
+        return sum(column.count or 1 for column in self.columns)
 
 
 def looks_like_text(head: bytes) -> bool:
@@ -102,7 +109,7 @@ def dialect_of(path: Path) -> Dialect:
 
 
 def blocks(path: Path, dialect: Dialect, problems: list[str]) -> Iterator[FloatArray]:
-    """Yield the rows in order, shape (n, columns); words are NaN.
+    """Yield the rows in order, shape (n, `dialect.width`); words are NaN.
 
     Args:
         path: The file.
@@ -161,14 +168,21 @@ def _has_decimal_commas(rows: Sequence[Sequence[bytes]]) -> bool:
 
 def _column(name: str, cells: Sequence[bytes], comma: bool) -> Column:
     kinds = [kind for cell in cells if (kind := _kind(cell, comma)) != "missing"]
-    return Column(name, max(set(kinds), key=kinds.count) if kinds else "number")
+    kind = max(set(kinds), key=kinds.count) if kinds else "number"
+    if kind != "array":
+        return Column(name, kind)
+    sizes = [len(_elements(cell)) for cell in cells if _ARRAY.match(cell)]
+    return Column(name, "number", max(set(sizes), key=sizes.count))
 
 
 def _kind(cell: bytes, comma: bool) -> str:
-    """What a cell holds: 'number', 'text', or 'missing'."""
+    """What a cell holds: 'number', 'array', 'text', or 'missing'."""
     if cell.lower() in _MISSING:
         return "missing"
-    return "text" if np.isnan(_number(cell.replace(b",", b".") if comma else cell)) else "number"
+    if not np.isnan(_number(cell.replace(b",", b".") if comma else cell)):
+        return "number"
+    inside = [_number(part) for part in _elements(cell)] if _ARRAY.match(cell) else [np.nan]
+    return "text" if np.isnan(inside).all() else "array"
 
 
 # -- the rows -----------------------------------------------------------------------------------------
@@ -196,10 +210,13 @@ def _parsed(text: bytes, dialect: Dialect) -> tuple[FloatArray, int]:
         return plain, 0
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(_COMMENT)]
     kept = [cells for line in lines if len(cells := _cells(line, dialect.delimiter)) == len(dialect.columns)]
-    rows = np.full((len(kept), len(dialect.columns)), np.nan)
-    for i, cells in enumerate(zip(*kept, strict=True)):
-        if dialect.columns[i].kind == "number":
-            rows[:, i] = _numbers(cells, dialect.decimal_comma)
+    rows, place = np.full((len(kept), dialect.width), np.nan), 0
+    for column, cells in zip(dialect.columns, zip(*kept, strict=True), strict=bool(kept)):
+        width = column.count or 1
+        if column.kind != "text":
+            block = _numbers(cells, column, dialect.decimal_comma)
+            rows[:, place : place + width] = block.reshape(len(kept), width)
+        place += width
     return rows, len(lines) - len(kept)
 
 
@@ -225,8 +242,17 @@ def _cells(line: bytes, delimiter: bytes) -> list[bytes]:
     return [cell.strip().encode("latin-1") for cell in cells]
 
 
-def _numbers(cells: Sequence[bytes], comma: bool) -> FloatArray:
-    """Cells of one column as numbers, shape (n,); NaN where a cell holds none."""
+def _elements(cell: bytes) -> list[bytes]:
+    """The numbers of an array in a cell such as [0.1, 0.2]; any other cell is one element."""
+    inner = _ARRAY.match(cell)
+    return re.split(rb"[,;\s]+", inner.group(1).strip()) if inner else [cell]
+
+
+def _numbers(cells: Sequence[bytes], column: Column, comma: bool) -> FloatArray:
+    """Cells of one column as numbers, shape (n * column.count,); NaN where a cell holds none."""
+    if column.count is not None:
+        arrays, blank = map(_elements, cells), [b""] * column.count
+        cells = [part for array in arrays for part in (array if len(array) == column.count else blank)]
     if comma:
         cells = [cell.replace(b",", b".") for cell in cells]
     try:
