@@ -53,6 +53,10 @@ def one_of_each(folder: Path) -> dict[str, Callable[[], Path]]:
 
         return write
 
+    arrays = "\n".join(
+        f'RUN,{1e6 * t:.15g},"[{q[0]:.15g}, {q[1]:.15g}]","[{v[0]:.15g}, {v[1]:.15g}]"'
+        for t, q, v in zip(T, Q, QD, strict=True)
+    )
     plain = text(header())
     degrees = np.column_stack((T, np.rad2deg(Q), np.rad2deg(QD)))
     in_degrees = "\n".join(",".join(f"{x:.15g}" for x in row) for row in degrees)
@@ -69,6 +73,7 @@ def one_of_each(folder: Path) -> dict[str, Callable[[], Path]]:
         "microseconds, unnamed": written("us", text(header(time="timestamp"), factor=1e6)),
         "nanoseconds, unnamed": written("ns", text(header(time="stamp"), factor=1e9)),
         "epoch": written("epoch", text(header(), first=1.7e9)),
+        "arrays": written("arrays", f"type,timestamp,q,dq\n{arrays}\n"),
         "words": written("words", plain.replace("\n", ",word\n")),
         "time by its unit": written("zeit", text(header(time="Zeit [ms]"), factor=1e3)),
         "degrees": written("degrees", f"TIME,q1 [DEG],q2 (Degree),dq1 [deg/s],dq2 [dps]\n{in_degrees}\n"),
@@ -83,7 +88,8 @@ DIALECTS = sorted(one_of_each(Path()))
 @pytest.mark.parametrize("dialect", DIALECTS)
 def test_every_dialect_gives_the_same_numbers(dialect: str, tmp_path: Path) -> None:
     path = one_of_each(tmp_path)[dialect]()
-    log = read(path)
+    columns = {"arrays": {"position": ("q",), "velocity": ("dq",)}}.get(dialect, STATES.columns)
+    log = read(path, Signal("joints", "", ("position", "velocity"), names=("a", "b"), columns=columns))
     assert log.steps == T.size
     # stamps of a log of 2023 keep 0.2 microseconds in float64: a speed of 9 rad/s^2 makes 2e-6 of it
     tolerance = 5e-6 if dialect == "epoch" else 1e-9
