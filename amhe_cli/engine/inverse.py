@@ -83,6 +83,7 @@ def forces_along(
     states = np.zeros((count, model.na)) if act is None else act
     free, drive = with_servos(unconstrained(model), qpos, qvel, ctrl, states)
     data, outputs, gear = mujoco.MjData(free), list(free.actuator_outadr), GearFriction.of(model)
+    pushed = bool(input_spec & int(mujoco.mjtState.mjSTATE_XFRC_APPLIED))
     moment, mass = np.zeros((free.nout, nv)), np.empty((count, nv, nv))
     needed, given, by = np.empty((count, nv)), np.zeros((count, nv)), np.zeros((count, free.nactuator, nv))
     friction, motor, smooth = np.tile(model.dof_frictionloss, (count, 1)), *np.zeros((2, count, nv))
@@ -100,7 +101,7 @@ def forces_along(
         drive(k)
         mujoco.mj_fwdActuation(free, data)
         given[k] = data.qfrc_actuator + data.qfrc_applied
-        for body in np.flatnonzero(data.xfrc_applied.any(axis=1)):
+        for body in np.flatnonzero(data.xfrc_applied.any(axis=1)) if pushed else ():
             force, torque = np.split(data.xfrc_applied[body], 2)
             mujoco.mj_applyFT(free, data, force, torque, data.xipos[body], body, given[k])
         if outputs:  # of several of an actuator the first
