@@ -124,7 +124,7 @@ def test_the_smallest_friction_model_that_explains_a_geared_joint_wins(tmp_path:
         "--set=identify.iterations=3",
         "--set=identify.profile_points=0",
         "--set=identify.first_state=never",
-        "--set=identify.assumed=0",  # which of them predicts best does not depend on what is taken for granted
+        "--set=identify.assumed=0",  # which of them predicts best does not depend on it
     ]
     out = tmp_path / "out"
     given = ["compare", "--friction", str(folder), "--logs", str(log), "-o", str(out), "--threads=1", *quick]
