@@ -18,14 +18,16 @@ from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.core.result import AtHorizon
 from amhe_cli.estimation.offline.clips import split_held_out, whole
-from amhe_cli.estimation.validation.comparison import (
+from amhe_cli.estimation.validation.horizon import (
+    HORIZONS,
     Compared,
     at_horizon,
     best_of,
+    errors_of,
     simplest_of,
+    starts,
     verdict,
 )
-from amhe_cli.estimation.validation.horizon import HORIZONS, errors_of, starts
 from amhe_cli.report.comparison import comparison_record, comparison_table, write_comparison
 from amhe_cli.report.folder import reserve
 from amhe_cli.system.provenance import provenance

@@ -16,15 +16,13 @@ from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.statistics import part_of
 from amhe_cli.estimation.core.result import ClipCount, HeldOut, Identification, Missing
 from amhe_cli.estimation.explain.explain import explain
-from amhe_cli.estimation.offline.bodies import body_numbers
 from amhe_cli.estimation.offline.cma import CmaState
-from amhe_cli.estimation.offline.combinations import combinations
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SETTLED, SearchState
 from amhe_cli.estimation.offline.watch import Watch
 from amhe_cli.estimation.uncertainty import terms
 from amhe_cli.estimation.uncertainty.assumed import assumed
-from amhe_cli.estimation.uncertainty.by_joint import told
+from amhe_cli.estimation.uncertainty.derived import body_numbers, combinations, told
 from amhe_cli.estimation.uncertainty.fit import (
     PROFILED,
     TURNS,
@@ -48,8 +46,7 @@ from amhe_cli.estimation.uncertainty.misfit import (
 )
 from amhe_cli.estimation.uncertainty.parts import REFITS, each_log, estimates, parts, report_drift
 from amhe_cli.estimation.uncertainty.verdicts import Evidence, verdicts
-from amhe_cli.estimation.validation.fits import fits, profiles
-from amhe_cli.estimation.validation.held_out import judge, validate, with_own_values
+from amhe_cli.estimation.validation.held_out import fits, judge, profiles, validate, with_own_values
 from amhe_cli.estimation.validation.horizon import HORIZONS, STARTS, horizon_errors
 from amhe_cli.system.system import System
 

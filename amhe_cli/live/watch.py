@@ -17,9 +17,8 @@ from amhe_cli.core.log import Samples, Window
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.explain.first_look import first_look
-from amhe_cli.estimation.online.buffer import Buffer
 from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon
-from amhe_cli.estimation.online.tracker import Tracker
+from amhe_cli.estimation.online.tracker import Buffer, Tracker
 from amhe_cli.estimation.online.workers import Trouble, Worker
 from amhe_cli.logs.live.messages import LiveSource
 from amhe_cli.system.system import System

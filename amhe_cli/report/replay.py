@@ -15,8 +15,7 @@ from rich.text import Text
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.files import json_text
 from amhe_cli.estimation.core.result import Fit
-from amhe_cli.estimation.online.predictions import Prediction
-from amhe_cli.estimation.online.replay import Replay
+from amhe_cli.estimation.online.replay import Prediction, Replay
 from amhe_cli.report import figures, numbers
 from amhe_cli.report.folder import results
 from amhe_cli.report.page import Section, Statement, fixed_statement, print_statements, result_page

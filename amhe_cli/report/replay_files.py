@@ -18,11 +18,10 @@ from amhe_cli.core.log import Log
 from amhe_cli.core.signals import Signal
 from amhe_cli.core.statistics import quantiles
 from amhe_cli.estimation.core.result import Combination, sharper
-from amhe_cli.estimation.offline.combinations import combinations
 from amhe_cli.estimation.online import messages
 from amhe_cli.estimation.online.horizon import Estimate
-from amhe_cli.estimation.online.predictions import Prediction
-from amhe_cli.estimation.online.replay import Replay
+from amhe_cli.estimation.online.replay import Prediction, Replay
+from amhe_cli.estimation.uncertainty.derived import combinations
 from amhe_cli.logs import LogWriter
 from amhe_cli.logs.messages.writer import ERROR, OK, WARN, write_samples
 from amhe_cli.report.identification_page import MAX_COMBINATIONS

@@ -12,8 +12,8 @@ import pytest
 
 from amhe_cli.core.belief import belief_of
 from amhe_cli.core.log import Window
-from amhe_cli.estimation.online.buffer import Buffer
 from amhe_cli.estimation.online.horizon import Estimate
+from amhe_cli.estimation.online.tracker import Buffer
 from amhe_cli.estimation.online.workers import InProcess
 from amhe_cli.live.episode import Cycle
 from amhe_cli.logs import read_log

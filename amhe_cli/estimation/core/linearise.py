@@ -11,13 +11,22 @@ Garcia-Fernandez et al. 2015), since a contact that is missed by a millimetre li
 contacts make the model rough, r is the mean over the samples; where it is smooth, r is the residual itself.
 `information` turns the slopes into information of the clips about z.
 
+Samples are z + S w with w of unit variance: their shape S follows the valleys of the posterior. Where
+parameters are known only together (mass and friction of a pushed box) it is a thin ridge. Samples drawn along
+the axes leave it by hundreds of its widths, and the bend of the residuals there would count as information
+along it.
+
+A regression needs a pair of rollouts for each unknown of one measurement, not for each unknown of all
+(Curtis, Powell and Reid 1974, "On the estimation of sparse Jacobian matrices"). The legs of a robot whose
+base is fixed move nothing of each other: four legs need the rollouts of one. `Reach` says what moves what.
+
 The residuals stay where the engine computed them, which may be a device: only sums over the samples are
 copied to the host.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,18 +37,191 @@ from amhe_cli.core.arrays import (
     FloatArray,
     IntArray,
     namespace_of,
+    side_by_side,
     to_host,
 )
+from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.engine.rollout import cut
-from amhe_cli.estimation.core.reach import Reach, colours, moved_along, patterns
-from amhe_cli.estimation.core.shape import coordinates
 from amhe_cli.matching.cost import MatchingCost, Residuals
+
+#: Widest sampling sd along any direction, in prior sd.
+WIDEST = 0.5
+
 
 #: Steps to one side alone, in sd of the samples: what bends in them is less by this factor.
 SHORT = 0.01
 #: Clips whose arrays have more bytes than this take their turns, so that memory does not grow with the logs;
 #: on a device, where calls should be large, more than this share of its memory.
 TURN_BYTES, TURN_SHARE = 32 * 2**20, 1 / 32
+
+
+def sampling_width(space: ParameterSpace, share: float) -> FloatArray:
+    """Sampling sd of z, shape (d,): a share of each parameter, or of a linear one's prior sd."""
+    return np.minimum(space.in_z(share), WIDEST)
+
+
+def diagonal(sd: float, active: BoolArray) -> FloatArray:
+    """The same sd for every active parameter, shape (d, d)."""
+    return np.diag(np.where(active, sd, 0.0))
+
+
+def adapted(
+    covariance: FloatArray,
+    before: FloatArray,
+    floor: FloatArray,
+    active: BoolArray,
+    alike: Sequence[IntArray] | None = None,
+) -> FloatArray:
+    """Shape of two posterior sd, with a fading memory of the one before.
+
+    Args:
+        covariance: Posterior covariance of z, shape (d, d).
+        before: The shape before; its directions fade by 0.6 a time.
+        floor: Smallest sampling sd of each parameter, shape (d,).
+        active: Parameters that are sampled at all, shape (d,).
+        alike: Groups of parameters of which no sample mixes two; None: one group.
+    """
+    return bounded(4.0 * within(covariance, alike) + 0.36 * before @ before.T, floor, active, alike)
+
+
+def bounded(
+    covariance: FloatArray, floor: FloatArray, active: BoolArray, alike: Sequence[IntArray] | None = None
+) -> FloatArray:
+    """Shape of a sampling covariance, no direction thinner than the floor or wider than WIDEST.
+
+    Args:
+        covariance: Sampling covariance of z, shape (d, d); what it says across groups is ignored.
+        floor, active, alike: See `adapted`.
+    """
+    shape = np.zeros_like(covariance)
+    for group in alike or [np.arange(len(covariance))]:
+        rows = group[active[group]]
+        scale = floor[rows]
+        block = covariance[np.ix_(rows, rows)] / np.outer(scale, scale)
+        values, vectors = np.linalg.eigh(block)
+        part = (
+            scale[:, None] * vectors * np.sqrt(np.maximum(values, 1.0))
+        )  # in units of the floor, which is 1
+        shape[np.ix_(rows, rows)] = part * np.minimum(1.0, WIDEST / np.linalg.norm(part, axis=0))
+    return shape
+
+
+def within(covariance: FloatArray, alike: Sequence[IntArray] | None) -> FloatArray:
+    """Covariance (d, d) of each group of parameters, given all others: no sample leaves a common valley."""
+    if alike is None or len(alike) == 1:
+        return covariance
+    precision, part = np.linalg.inv(covariance), np.zeros_like(covariance)
+    for rows in alike:
+        part[np.ix_(rows, rows)] = np.linalg.inv(precision[np.ix_(rows, rows)])
+    return part
+
+
+def coordinates(shape: FloatArray, steps: FloatArray) -> FloatArray:
+    """The w of steps S w, shape (n, d); 0 along directions that are not sampled."""
+    return steps @ np.linalg.pinv(shape, rcond=1e-9).T
+
+
+def changed(before: FloatArray, after: FloatArray) -> bool:
+    """Whether any sampling sd (d,) has changed by more than a quarter."""
+    return bool((np.abs(after - before) > 0.25 * after).any())
+
+
+def sampling_sd(shape: FloatArray) -> FloatArray:
+    """Sampling sd of each parameter, shape (d,)."""
+    return np.sqrt((shape**2).sum(axis=1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reach:
+    """Which columns of each channel the unknowns move.
+
+    Args:
+        z: Channel -> those that each of the d parameters moves, shape (d, k).
+        first: Channel -> those that each of the nx first-state errors moves, shape (nx, k).
+
+    A channel that the tables lack was not seen: any unknown may move all of it.
+    """
+
+    z: Mapping[str, BoolArray]
+    first: Mapping[str, BoolArray]
+
+    def residuals(self, cost: MatchingCost, first: bool) -> BoolArray:
+        """Which of the R residuals of a cost the d parameters, and first-state errors, move, (d + nx, R)."""
+        parts = []
+        for observed in cost.clips.observed:
+            rows = self._moving(observed.channel.key, observed.width, first)
+            parts.append(np.tile(rows, observed.mask.shape[1]))
+        return np.concatenate(parts, axis=1)
+
+    def alone(self, row: int, cost: MatchingCost, found: Residuals, here: Sequence[AnyArray]) -> Residuals:
+        """Residuals of candidates in which other parameters have moved, too, as of one of them alone.
+
+        Args:
+            row: The parameter; the others move other measurements.
+            cost: The cost.
+            found: Residuals of p candidates.
+            here: Those of no move, one array for each channel, shape (1, c, samples, k).
+        """
+        columns = [self._moving(o.channel.key, o.width)[row] for o in cost.clips.observed]
+        pairs = zip(found.values, here, strict=True)
+        values = tuple(
+            namespace_of(moved).where(namespace_of(moved).asarray(own), moved, still)
+            for own, (moved, still) in zip(columns, map(side_by_side, pairs), strict=True)
+        )
+        return Residuals(values, found.completed)
+
+    @property
+    def alike(self) -> list[IntArray]:
+        """The parameters, those together that move the same measurements."""
+        return alike(np.concatenate(list(self.z.values()), axis=1))
+
+    @property
+    def first_alike(self) -> list[IntArray]:
+        """The first-state errors, those together that move the same measurements."""
+        return alike(np.concatenate(list(self.first.values()), axis=1))
+
+    def unknowns(self, first: bool) -> int:
+        """Unknowns that a regression counts: those that move different measurements count once."""
+        parts = [self._moving(key, columns.shape[1], first) for key, columns in self.z.items()]
+        return int(colours(np.concatenate(parts, axis=1)).max()) + 1
+
+    def _moving(self, key: str, width: int, first: bool = False) -> BoolArray:
+        """Which of k columns of a channel the parameters, and first-state errors, move, (d + nx, k)."""
+        tables = (self.z, self.first) if first else (self.z,)
+        every = (np.ones((len(next(iter(table.values()), ())), width), dtype=bool) for table in tables)
+        return np.concatenate([table.get(key, rows) for table, rows in zip(tables, every, strict=True)])
+
+
+def alike(moves: BoolArray) -> list[IntArray]:
+    """The rows of a table of what unknowns move (u, R), those together that are equal."""
+    packed = np.ascontiguousarray(np.packbits(moves, axis=1))  # bytes are compared much quicker than flags
+    _, group = np.unique(packed.view(f"V{packed.shape[1]}")[:, 0], return_inverse=True)
+    return [np.flatnonzero(group == g) for g in range(group.max() + 1)]
+
+
+def patterns(moves: BoolArray) -> Iterator[tuple[IntArray, IntArray]]:
+    """Unknowns that move a residual, and all residuals that just these move: pairs of rows and columns."""
+    for columns in alike(moves.T):
+        yield np.flatnonzero(moves[:, columns[0]]), columns
+
+
+def colours(moves: BoolArray) -> IntArray:
+    """A number for each unknown, shape (u,), that no two have which move a common residual.
+
+    The unknowns that move the most come first, each with the lowest number that is left.
+    """
+    kinds = moves[:, [columns[0] for columns in alike(moves.T)]].astype(int)
+    clash = kinds @ kinds.T > 0
+    found = np.full(len(moves), -1)
+    for row in np.argsort(-kinds.sum(axis=1), kind="stable"):
+        taken = set(found[clash[row]])
+        found[row] = next(number for number in range(len(moves)) if number not in taken)
+    return found
+
+
+def moved_along(moves: BoolArray, shape: FloatArray) -> BoolArray:
+    """What the coordinates w of samples S w move, (u, R), from what the unknowns move and S (u, u)."""
+    return np.asarray((shape != 0.0).T.astype(int) @ moves.astype(int) > 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,11 +18,11 @@ from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.core.result import Combination, ParameterResult
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.clips import ClipPool, evenly, whole
-from amhe_cli.estimation.offline.combinations import combinations
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.watch import Watch
 from amhe_cli.estimation.uncertainty import terms
 from amhe_cli.estimation.uncertainty.assumed import assumed
+from amhe_cli.estimation.uncertainty.derived import combinations
 from amhe_cli.estimation.uncertainty.fit import FinalFit, doubled_prior, final_fit, posterior
 from amhe_cli.estimation.uncertainty.ledger import Ledger
 from amhe_cli.estimation.uncertainty.verdicts import Evidence, verdicts

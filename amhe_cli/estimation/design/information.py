@@ -17,8 +17,7 @@ from amhe_cli.estimation.core.information import (
     information,
     step_within,
 )
-from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, linearise
-from amhe_cli.estimation.core.shape import sampling_width
+from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, linearise, sampling_width
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.matching.cost import MatchingCost

@@ -15,9 +15,15 @@ from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine, cut
 from amhe_cli.engine.states import nearest, touching
 from amhe_cli.estimation.core.information import Information, marginalised
-from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, linearise
-from amhe_cli.estimation.core.reach import Reach
-from amhe_cli.estimation.core.shape import WIDEST, diagonal, sampling_width
+from amhe_cli.estimation.core.linearise import (
+    WIDEST,
+    FirstStates,
+    Linearisation,
+    Reach,
+    diagonal,
+    linearise,
+    sampling_width,
+)
 from amhe_cli.estimation.offline.clips import ClipPool, evenly, of_each_kind
 from amhe_cli.matching.cost import MatchingCost, Residuals
 from amhe_cli.matching.starts import first_index

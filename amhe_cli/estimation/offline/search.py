@@ -23,10 +23,10 @@ from amhe_cli.estimation.core.information import (
     remaining_noise_scale,
     step_within,
 )
-from amhe_cli.estimation.core.linearise import FirstStates, Linearisation
-from amhe_cli.estimation.core.result import Iteration
-from amhe_cli.estimation.core.shape import (
+from amhe_cli.estimation.core.linearise import (
     WIDEST,
+    FirstStates,
+    Linearisation,
     adapted,
     bounded,
     changed,
@@ -34,6 +34,7 @@ from amhe_cli.estimation.core.shape import (
     diagonal,
     sampling_sd,
 )
+from amhe_cli.estimation.core.result import Iteration
 from amhe_cli.estimation.offline.problem import Problem, spread_floor
 from amhe_cli.matching.cost import Residuals, quadratic_prior
 

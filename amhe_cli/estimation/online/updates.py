@@ -9,11 +9,13 @@ is remembered from window to window, and only the new share of overlapping windo
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, to_host
+from amhe_cli.core.belief import Belief
+from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.settings import MheSettings
 from amhe_cli.core.statistics import log_rank_weights, sd_of_one
 from amhe_cli.estimation.core.information import (
@@ -24,9 +26,7 @@ from amhe_cli.estimation.core.information import (
     mean_squares,
     weights,
 )
-from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, linearise
-from amhe_cli.estimation.core.shape import bounded, sampling_width
-from amhe_cli.estimation.online.prior import Gaussian
+from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, bounded, linearise, sampling_width
 from amhe_cli.matching.cost import MatchingCost, Residuals
 
 #: Share of the newest window in the remembered noise.
@@ -36,6 +36,65 @@ _NEWEST = 0.2
 _LARGEST = 2.0
 #: Share of a window's squared residuals that its own fit may leave if the parameters have jumped.
 _JUMP_LEAVES = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gaussian:
+    """Mean and covariance of z, which pass from window to window.
+
+    The arrival cost of the paper's equation (5) weighs the distance from the last estimate with a fixed
+    diagonal W_p. This is the inverse of a full covariance, which can represent that mass times friction is
+    known better than either.
+
+    Args:
+        z: Mean of z, shape (d,).
+        covariance: Covariance of z, shape (d, d).
+    """
+
+    z: FloatArray
+    covariance: FloatArray
+
+    @property
+    def sd(self) -> FloatArray:
+        """Standard deviation of each coordinate, shape (d,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def inflated(self, variance: FloatArray) -> Gaussian:
+        """The same mean with this variance added to each coordinate, shape (d,)."""
+        return replace(self, covariance=self.covariance + np.diag(variance))
+
+    def floored(self, sd: FloatArray) -> Gaussian:
+        """The same mean and correlations with at least this sd of each coordinate, shape (d,)."""
+        wider = np.maximum(sd / np.maximum(self.sd, 1e-12), 1.0)
+        return replace(self, covariance=self.covariance * np.outer(wider, wider))
+
+
+def prior_of(space: ParameterSpace, belief: Belief | None, least_sd: float) -> Gaussian:
+    """Prior of the first window: a belief whose sd is floored, so that estimates can still move.
+
+    Args:
+        space: The system's parameters.
+        belief: The belief to start from; None: the system's own prior, not floored.
+        least_sd: Smallest sd of each parameter, as a share of its value.
+    """
+    if belief is None:
+        return Gaussian(np.zeros(len(space)), np.array(space.prior_covariance))
+    return Gaussian(*space.gaussian_of(belief)).floored(space.in_z(least_sd))
+
+
+def with_model_error(space: ParameterSpace, belief: Gaussian, systematic: Mapping[str, float]) -> Gaussian:
+    """The belief that is reported: with the error of the model itself along one direction.
+
+    It is the same in every window and does not average out, so it is added to what is reported and not to the
+    prior of the next window.
+
+    Args:
+        space: The system's parameters.
+        belief: The estimator's own belief.
+        systematic: Parameter -> error (sd), as a share of its value; of a linear one in prior sd.
+    """
+    error = space.in_z([systematic.get(name, 0.0) for name in space.names])
+    return replace(belief, covariance=belief.covariance + np.outer(error, error))
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,14 +1,14 @@
-"""The posterior covariance of z: a final linearisation on all clips, and what they determine together."""
+"""The posterior of z from a final linearisation of all clips; and how well clips fit under given values."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray, sealed
+from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray, sealed, to_host
 from amhe_cli.estimation.core.information import (
     Information,
     channel_times,
@@ -19,13 +19,22 @@ from amhe_cli.estimation.core.information import (
     objective,
     step_within,
 )
-from amhe_cli.estimation.core.linearise import FirstStates, Linearisation
-from amhe_cli.estimation.core.reach import Reach, colours
-from amhe_cli.estimation.core.shape import bounded, changed, diagonal, sampling_sd, within
+from amhe_cli.estimation.core.linearise import (
+    FirstStates,
+    Linearisation,
+    Reach,
+    bounded,
+    changed,
+    colours,
+    diagonal,
+    sampling_sd,
+    within,
+)
 from amhe_cli.estimation.offline.cma import CmaState
 from amhe_cli.estimation.offline.problem import Problem, spread_floor
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.offline.watch import Watch
+from amhe_cli.matching.cost import MatchingCost, Residuals
 
 #: The last state of a search.
 Finding = SearchState | CmaState
@@ -40,6 +49,10 @@ LITTLE = 0.1
 SMALL = 0.05
 #: Clips that are enough to draw a cost along a parameter.
 PROFILED = 24
+
+
+#: Shares of the step to the best first states that are tried on each clip.
+LINE = np.array([1.0, 0.5, 0.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,3 +292,61 @@ def _linearised(
     fitted = problem.settings.identify.first_state != "never"
     at = first or FirstStates.recorded(len(problem.clips), cost.nx if fitted else 0)
     return problem.linearised(cost, finding.z, at, shape, problem.rng(3, place))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scored:
+    """c clips under one z, their first states fitted.
+
+    Args:
+        residuals: Residuals in the noise of the cost that was given, each channel (1, c, samples, k).
+        losses: Robust loss of each channel, shape (c,) each; infinite where the clip diverged.
+        first: Squared first-state errors, shape (c,).
+        times: Autocorrelation time of each channel's residuals, in samples.
+        information: What the clips know of z.
+    """
+
+    residuals: Residuals
+    losses: list[FloatArray]
+    times: tuple[float, ...]
+    first: FloatArray
+    information: Information
+
+    def misfit(self, times: Sequence[float]) -> FloatArray:
+        """Losses as of independent samples for some autocorrelation times, and first-state errors, (c,)."""
+        return self.first + np.sum(
+            [loss / time for loss, time in zip(self.losses, times, strict=True)], axis=0
+        )
+
+
+def scored(problem: Problem, cost: MatchingCost, z: FloatArray, shape: FloatArray) -> Scored:
+    """Fit the first states of clips under z (d,): the step that a linearisation gives, as far as it helps.
+
+    Args:
+        problem: The problem.
+        cost: Cost on the clips.
+        z: The values.
+        shape: Shape of the samples of z, (d, d).
+    """
+    nx = fitted_errors(problem, cost)
+    first = FirstStates.recorded(len(cost.clips.windows), nx)
+    slopes = problem.linearised(cost, z, first, shape, problem.rng(5), straight=not problem.touches)
+    found = information(slopes)
+    tried = LINE[:, None, None] * found.nuisance
+    residuals = cost.residuals(np.repeat(z[None], len(LINE), axis=0), tried if nx else None)
+    losses = cost.losses(residuals)
+    errors = np.einsum("pcx,pcx->pc", tried, tried)
+    total, times = errors, channel_times(cost, found.residual, slopes.completed)
+    for loss, time in zip(losses, times, strict=True):
+        total = total + loss / time
+    total = np.where(residuals.completed, total, np.inf)
+    best = total.argmin(axis=0), np.arange(total.shape[1])
+    done = residuals.completed[best]
+    kept = tuple(to_host(values)[best][None] for values in residuals.values)
+    own = [np.where(done, one[best], np.inf) for one in losses]
+    return Scored(Residuals(kept, done[None]), own, times, errors[best], found)
+
+
+def fitted_errors(problem: Problem, cost: MatchingCost) -> int:
+    """Number of first-state errors that are fitted."""
+    return 0 if problem.settings.identify.first_state == "never" else cost.nx

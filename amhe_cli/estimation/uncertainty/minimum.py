@@ -21,10 +21,9 @@ from amhe_cli.estimation.core.agreement import SURPRISE
 from amhe_cli.estimation.core.information import gauss_newton_step, step_within
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.problem import Problem
-from amhe_cli.estimation.offline.scored import scored
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.offline.watch import Watch
-from amhe_cli.estimation.uncertainty.fit import FinalFit, Finding
+from amhe_cli.estimation.uncertainty.fit import FinalFit, Finding, scored
 from amhe_cli.estimation.uncertainty.ledger import Term
 from amhe_cli.matching.cost import MatchingCost
 

@@ -27,8 +27,7 @@ from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.uncertainty.fit import LITTLE, FinalFit, Finding, Posterior, final_fit, posterior
-from amhe_cli.estimation.uncertainty.ledger import Source, Term
-from amhe_cli.estimation.uncertainty.sizes import size
+from amhe_cli.estimation.uncertainty.ledger import Source, Term, size
 
 logger = logging.getLogger(__name__)
 

@@ -20,9 +20,8 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.statistics import correlation
 from amhe_cli.estimation.core.result import ParameterResult, Reason
-from amhe_cli.estimation.uncertainty.ledger import Ledger, Source
+from amhe_cli.estimation.uncertainty.ledger import Ledger, Source, interval, size
 from amhe_cli.estimation.uncertainty.minimum import Rival
-from amhe_cli.estimation.uncertainty.sizes import interval, size
 
 #: Shrinkage below which the logs say next to nothing, and from which they determine.
 NOTHING, DETERMINED = 0.3, 0.8

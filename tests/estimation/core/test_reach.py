@@ -11,9 +11,15 @@ import pytest
 import amhe_cli as amhe
 from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.engine.open import open_engine
-from amhe_cli.estimation.core.linearise import FirstStates, linearise
-from amhe_cli.estimation.core.reach import alike, colours, patterns
-from amhe_cli.estimation.core.shape import bounded, within
+from amhe_cli.estimation.core.linearise import (
+    FirstStates,
+    alike,
+    bounded,
+    colours,
+    linearise,
+    patterns,
+    within,
+)
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.problem import Problem

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from amhe_cli.estimation.offline.bodies import body_numbers
+from amhe_cli.estimation.uncertainty.derived import body_numbers
 from amhe_cli.report.identification import identification_record
 from amhe_cli.report.parameters import body_table
 from amhe_cli.system.system import System

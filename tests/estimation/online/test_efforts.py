@@ -10,8 +10,7 @@ from amhe_cli.core.log import Log, sampled
 from amhe_cli.engine.inverse import forces_along
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon
-from amhe_cli.estimation.online.predictions import predictions
-from amhe_cli.estimation.online.replay import open_replay, replayed
+from amhe_cli.estimation.online.replay import open_replay, predictions, replayed
 from amhe_cli.estimation.online.tracker import Tracker
 from amhe_cli.estimation.online.workers import InStep
 from amhe_cli.system.system import System

@@ -13,9 +13,8 @@ from amhe_cli.core.log import Log, Window
 from amhe_cli.core.signals import Series
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import Estimate, JumpTest, MovingHorizon, Pace
-from amhe_cli.estimation.online.prior import Gaussian, prior_of
 from amhe_cli.estimation.online.replay import open_replay, replay, windows
-from amhe_cli.estimation.online.updates import Noise, Outcome, innovation
+from amhe_cli.estimation.online.updates import Gaussian, Noise, Outcome, innovation, prior_of
 from amhe_cli.system.system import System
 
 

@@ -10,11 +10,11 @@ import pytest
 from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.core.statistics import Z90
 from amhe_cli.estimation.core.result import ParameterResult
-from amhe_cli.estimation.offline.combinations import combinations
+from amhe_cli.estimation.uncertainty.derived import combinations
 from amhe_cli.estimation.uncertainty.ledger import Kind, Ledger, Source, Term, term_of
 from amhe_cli.estimation.uncertainty.minimum import Rival
 from amhe_cli.estimation.uncertainty.verdicts import DOUBT, Evidence, verdicts
-from amhe_cli.estimation.validation.fits import profiles
+from amhe_cli.estimation.validation.held_out import profiles
 
 SPACE = ParameterSpace(
     (

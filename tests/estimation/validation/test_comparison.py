@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.estimation.core.result import AtHorizon
-from amhe_cli.estimation.validation.comparison import at_horizon, best_of, improves, verdict
-from amhe_cli.estimation.validation.horizon import ClipErrors
+from amhe_cli.estimation.validation.horizon import ClipErrors, at_horizon, best_of, improves, verdict
 
 NAMES = ("plain", "stribeck")
 

@@ -12,7 +12,7 @@ from amhe_cli.core.log import Log
 from amhe_cli.core.signals import Series
 from amhe_cli.estimation.core.result import Identification
 from amhe_cli.estimation.identification import IdentifyOptions, identify
-from amhe_cli.estimation.offline.scored import Scored
+from amhe_cli.estimation.uncertainty.fit import Scored
 from amhe_cli.estimation.validation.held_out import misses_more, worse
 from amhe_cli.system.system import System
 from tests.estimation.conftest import CHEAP, TRUTH

@@ -1,25 +1,121 @@
-"""What torques along a measured motion tell: how many numbers, and of each joint, in words."""
+"""What follows from an estimate and its covariance: products, inertias, what efforts tell of joints."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.estimation.core.result import HeldOut, SpanError
+from amhe_cli.core.parameters import ParameterSpace
+from amhe_cli.core.statistics import correlation
+from amhe_cli.estimation.core.result import BodyNumber, Combination, HeldOut, SpanError
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.uncertainty.fit import FinalFit
+from amhe_cli.estimation.uncertainty.verdicts import TOGETHER
 from amhe_cli.matching.efforts import path_of
 from amhe_cli.system.model.elements import dofs_of
 from amhe_cli.system.system import System
 
+#: Draws of the posterior.
+_DRAWS = 2000
+
+
+#: Smallest exponent of a combination: a smaller one rounds to 0.
+EXPONENT = 0.05
 #: A number is known where its sd is below this share of its prior's.
 _KNOWN = 0.5
 #: Numbers of friction.
 _RUBS = ("dof_damping", "dof_frictionloss")
 #: Step of a parameter, in its prior sd, for its slope.
 _STEP = 1e-4
+
+
+def body_numbers(
+    system: System, z: FloatArray, covariance: FloatArray, rng: np.random.Generator
+) -> tuple[BodyNumber, ...]:
+    """Mass, centre of mass and inertia of each body whose `pseudo_inertia` is a parameter.
+
+    Their sd and intervals are those of draws of the posterior, since they are no linear function of z.
+
+    Args:
+        system: The system; its space is that of the search.
+        z, covariance: The estimate (d,) and its covariance (d, d).
+        rng: Source of the draws.
+    """
+    if not system.edits.bodies:
+        return ()
+    draws = rng.multivariate_normal(z, covariance, _DRAWS, method="cholesky")
+    theta = np.stack([_model_values(system, one) for one in (z, np.zeros_like(z), *draws)])
+    found = []
+    for name, numbers in system.edits.inertias(theta):
+        for label, (estimate, prior, *values) in numbers.items():
+            lower, upper = np.quantile(values, (0.05, 0.95))
+            unit = "kg" if label == "mass" else "m" if label.startswith("com") else "kg m^2"
+            sd = float(np.std(values))
+            found.append(BodyNumber(f"{name}.{label}", unit, estimate, sd, float(lower), float(upper), prior))
+    return tuple(found)
+
+
+def _model_values(system: System, z: FloatArray) -> FloatArray:
+    """The model's free parameters at a point of the search; what is not searched is at its nominal value."""
+    model = system.edits.space
+    values = model.named(model.nominal) | system.space.named(system.space.theta_of(z))
+    return np.array([values[name] for name in model.names])
+
+
+def combinations(
+    space: ParameterSpace, covariance: FloatArray, active: np.ndarray
+) -> tuple[Combination, ...]:
+    """Products of log-scaled parameters that are known much better, or worse, than each alone.
+
+    A share k on the linear scale, such as friction's of a load, is in them as 1 + k. For every strongly
+    correlated pair, the eigenvectors of its covariance in logarithms: the sharp one is what the data
+    determine, the blunt one what they leave open.
+    """
+    matrix = correlation(covariance)
+    shares = [p.unit == "-" and -1.0 < p.lower < 0.0 and not p.log for p in space.parameters]
+    relative = space.prior_sd / np.where(shares, 1.0 + space.nominal, 1.0)
+    scale, factors = np.outer(relative, relative), space.log | shares
+    names = [f"(1 + {name})" if share else name for name, share in zip(space.names, shares, strict=True)]
+    phi, prior = covariance * scale, space.prior_covariance * scale
+    found = []
+    for i in range(len(space)):
+        for j in range(i + 1, len(space)):
+            together = active[i] and active[j] and abs(matrix[i, j]) > TOGETHER
+            if together and factors[i] and factors[j]:
+                found += _pair(space.names, names, phi, prior, (i, j))
+    return tuple(found)
+
+
+def _pair(
+    names: Sequence[str], factors: Sequence[str], phi: FloatArray, prior: FloatArray, pair: tuple[int, int]
+) -> list[Combination]:
+    """Combinations of two parameters, from posterior and prior covariance of all logarithms, (d, d)."""
+    block = np.ix_(pair, pair)
+    values, vectors = np.linalg.eigh(phi[block])
+    result = []
+    for value, vector in zip(values, vectors.T, strict=True):
+        powers = vector / vector[np.argmax(np.abs(vector))]
+        before = float(np.sqrt(powers @ prior[block] @ powers))
+        sd = float(np.sqrt(value) * np.linalg.norm(powers))
+        if np.abs(powers).min() >= EXPONENT:
+            text = _product([factors[i] for i in pair], powers)
+            result.append(Combination(text, sd, 1.0 - sd / before, tuple(names[i] for i in pair)))
+    return result
+
+
+def _product(names: Sequence[str], powers: FloatArray) -> str:
+    """'mass * friction^0.9', 'gain / mass'."""
+    factors = sorted(zip(map(float, powers), names, strict=True), reverse=True)
+    text = _power(factors[0][1], factors[0][0])
+    for power, name in factors[1:]:
+        text += f" {'*' if power > 0.0 else '/'} {_power(name, abs(power))}"
+    return text
+
+
+def _power(name: str, power: float) -> str:
+    return name if abs(power - 1.0) < 0.05 else f"{name}^{power:.1f}"
 
 
 def told(
