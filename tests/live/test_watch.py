@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from amhe_cli.estimation.online.buffer import BEFORE
 
 from amhe_cli.core.errors import ConfigError, EstimationError
 from amhe_cli.core.log import Samples
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon
 from amhe_cli.estimation.online.replay import open_replay, replayed
+from amhe_cli.estimation.online.tracker import BEFORE
 from amhe_cli.estimation.online.workers import InStep, News, Trouble
 from amhe_cli.live import watch as live_watch
 from amhe_cli.live.watch import Alarm, estimator_of, watch
