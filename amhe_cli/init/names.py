@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 #: Words for a kind of thing, which do not say which one it is.
 KINDS = {
@@ -65,7 +65,7 @@ def matched(own: Mapping[str, Sequence[str]], logged: Iterable[str]) -> dict[str
     """
     free = list(dict.fromkeys(logged))
     pairs: dict[str, str] = {}
-    for alike in (_equal, _equal_cores, _ends_alike):
+    for alike in _ALIKE:
         for name, aliases in own.items():
             if name in pairs:
                 continue
@@ -82,17 +82,12 @@ def names_the_same(body: str, topic_words: Sequence[str]) -> bool:
     return bool(wanted) and set(wanted) <= set(topic_words)
 
 
-def _equal(a: str, b: str) -> bool:
-    return a == b
-
-
-def _equal_cores(a: str, b: str) -> bool:
-    return core(a) == core(b)
-
-
-def _ends_alike(a: str, b: str) -> bool:
-    short, long = sorted((core(a), core(b)), key=len)
-    return long.endswith(f"_{short}")
+#: When two names mean one thing, the surest first: equal, of one core, one core at the end of the other.
+_ALIKE: tuple[Callable[[str, str], bool], ...] = (
+    lambda a, b: a == b,
+    lambda a, b: core(a) == core(b),
+    lambda a, b: core(a).endswith(f"_{core(b)}") or core(b).endswith(f"_{core(a)}"),
+)
 
 
 def joint_paths(paths: Mapping[str, int | None], count: int) -> dict[str, str]:

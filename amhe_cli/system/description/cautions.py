@@ -30,21 +30,21 @@ def caution(where: str, model: mujoco.MjModel, edits: ModelEdits) -> None:
         model: The base model.
         edits: The parameters and what they set.
     """
-    lines: dict[str, None] = {}
-    if _solver_is_wrong(model):
-        lines[
+    newton = model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON
+    if mujoco.__version__ == "4.0.0" and newton and mujoco.mj_isSparse(model):  # 4.0.1 mended it
+        logger.warning(
             f"{where}: the Newton solver of MuJoCo {mujoco.__version__} is wrong if the constraint Jacobian "
             "is sparse, as in this model (mujoco issue 3767): update MuJoCo, or write "
             '<option jacobian="dense"/> into the model'
-        ] = None
-    for parameter, cells in edits.by_parameter():
-        for part in cells:
-            for text in _texts(model, part, cells, parameter.lower):
-                lines[f"{where}: parameter {parameter.name!r}: {text}"] = None
-    for name, text in _far_from_the_model(model, edits):
-        lines[f"{where}: parameter {name!r}: {text}"] = None
-    for line in lines:
-        logger.warning(line)
+        )
+    found = [
+        (parameter.name, text)
+        for parameter, cells in edits.by_parameter()
+        for part in cells
+        for text in _texts(model, part, cells, parameter.lower)
+    ]
+    for name, text in dict.fromkeys((*found, *_far_from_the_model(model, edits))):
+        logger.warning(f"{where}: parameter {name!r}: {text}")
 
 
 def _far_from_the_model(model: mujoco.MjModel, edits: ModelEdits) -> Iterator[tuple[str, str]]:
@@ -65,12 +65,6 @@ def _apart(own: float, nominal: float) -> float:
     return max(own / nominal, nominal / own) if min(own, nominal) > 0.0 else 1.0
 
 
-def _solver_is_wrong(model: mujoco.MjModel) -> bool:
-    """MuJoCo 4.0.0 factorises the Newton solver's sparse Hessian wrongly; 4.0.1 mended it."""
-    newton = model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON
-    return mujoco.__version__ == "4.0.0" and newton and bool(mujoco.mj_isSparse(model))
-
-
 def _texts(model: mujoco.MjModel, part: Cells, cells: tuple[Cells, ...], lower: float) -> Iterator[str]:
     if part.field == "geom_friction":
         yield from _geom_friction(model, part, cells, lower)
@@ -79,7 +73,9 @@ def _texts(model: mujoco.MjModel, part: Cells, cells: tuple[Cells, ...], lower: 
             part, int(model.pair_dim[part.row]), f"pair {model.pair(part.row).name!r}", pair=True
         )
     elif part.field in ("geom_solref", "pair_solref") and part.columns == (0,):
-        yield from _time_constant(model, part, lower)
+        shortest = 2.0 * model.opt.timestep
+        if not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_REFSAFE and lower < shortest:
+            yield f"a contact time constant below two time steps, {shortest:g} s, acts as {shortest:g} s"
 
 
 def _geom_friction(
@@ -112,10 +108,3 @@ def _dimension(part: Cells, dimension: int, name: str, pair: bool = False) -> It
     index = (0, 0, 1, 2, 2)[part.columns[0]] if pair else part.columns[0]
     if dimension < _NEEDED[index]:
         yield f"{name} has condim {dimension}; {_WORDS[index]} friction acts from condim {_NEEDED[index]}"
-
-
-def _time_constant(model: mujoco.MjModel, part: Cells, lower: float) -> Iterator[str]:
-    shortest = 2.0 * model.opt.timestep
-    safe = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_REFSAFE
-    if safe and lower < shortest:
-        yield f"a contact time constant below two time steps, {shortest:g} s, acts as {shortest:g} s"

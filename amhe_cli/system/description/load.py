@@ -13,7 +13,7 @@ import yaml
 from pydantic import BaseModel
 
 from amhe_cli.core.errors import NOTE, ConfigError, one_of
-from amhe_cli.core.settings import MheSettings, Settings
+from amhe_cli.core.settings import Settings
 from amhe_cli.core.yaml_file import Place, YamlFile, merged
 from amhe_cli.system.description.cautions import caution
 from amhe_cli.system.description.data import SystemData
@@ -50,9 +50,18 @@ def load(
         raise ConfigError(f"{file.path}: not a system")
     text = file.path.read_text(encoding="utf-8")
     loaded = _built(file, str(file.path), entry, spec, folder.resolve().name, folder, text, warn)
-    if warn:
-        _warn_of_idle(overrides, loaded.settings.mhe)
-        _warn_of_unchecked(file, schema)
+    mhe = loaded.settings.mhe
+    for name in mhe.idle(overrides.get("mhe") or ()) if warn else ():
+        logger.warning("mhe.%s does nothing with the method %s", name, mhe.method)
+    given = file.data.get("settings") or {}
+    groups = [name for name in robot_groups(file.own) if name in given and name not in schema.model_fields]
+    if warn and groups:
+        logger.warning(
+            "%s: settings of the robot %s (%s) were not checked: no class that has them was given as schema",
+            file.path,
+            file.own["robot"],
+            ", ".join(groups),
+        )
     return replace(loaded, given=overrides)
 
 
@@ -172,8 +181,13 @@ def _built(
     source.raise_problems()
     if warn:
         caution(where, base, edits)
-        _warn_of_unset(where, draft.unset_joints(), keyframe)
-        _note_off(where, [base.actuator(row).name or f"number {row}" for row in off])
+        if keyframe is None and (joints := draft.unset_joints()):
+            text = "it starts each clip at zero; give one, or a keyframe"
+            logger.warning(f"{where}: no signal gives the state of joint {', '.join(joints)}: {text}")
+        if off:
+            actuators = ", ".join(base.actuator(row).name or f"number {row}" for row in off)
+            text = "off, since nothing commands them and the forces at their joints are given"
+            logger.log(NOTE, f"{where}: {text}: {actuators}")
     return SystemData(
         name=name,
         folder=folder,
@@ -209,41 +223,6 @@ def _refuse_strangers(file: Description, entry: SystemEntry, model: mujoco.MjMod
     ):
         for name in set(given) - set(entry.parameters):
             file.problem(("settings", group, setting, name), one_of("parameter", name, entry.parameters))
-
-
-def _warn_of_unset(where: str, joints: list[str], keyframe: int | None) -> None:
-    if joints and keyframe is None:
-        logger.warning(
-            "%s: no signal gives the state of joint %s: it starts each clip at zero; give one, or a keyframe",
-            where,
-            ", ".join(joints),
-        )
-
-
-def _note_off(where: str, actuators: list[str]) -> None:
-    if actuators:
-        logger.log(
-            NOTE,
-            f"{where}: off, since nothing commands them and the forces at their joints are given: "
-            f"{', '.join(actuators)}",
-        )
-
-
-def _warn_of_idle(overrides: Mapping[str, Any], mhe: MheSettings) -> None:
-    for name in mhe.idle(overrides.get("mhe") or ()):
-        logger.warning("mhe.%s does nothing with the method %s", name, mhe.method)
-
-
-def _warn_of_unchecked(file: YamlFile, schema: type[Settings]) -> None:
-    given = file.data.get("settings") or {}
-    groups = [name for name in robot_groups(file.own) if name in given and name not in schema.model_fields]
-    if groups:
-        logger.warning(
-            "%s: settings of the robot %s (%s) were not checked: no class that has them was given as schema",
-            file.path,
-            file.own["robot"],
-            ", ".join(groups),
-        )
 
 
 def _placed(overrides: Mapping[str, Any]) -> dict[str, Any]:

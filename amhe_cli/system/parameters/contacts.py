@@ -30,8 +30,9 @@ def needed_contacts(model: mujoco.MjModel, cells: Iterable[Cells]) -> list[tuple
         elif c.field in _INERTIAL and _is_free(model, c.row):
             geoms = np.flatnonzero(model.body_weldid[model.geom_bodyid] == model.body_weldid[c.row])
             for geom in map(int, geoms):
-                others = [o for o in partners(model, geom) if not _is_fixed(model, o)]
-                pairs |= dict.fromkeys((geom, o) for o in (*others, *_paired(model, geom)))
+                explicit = [b if a == geom else a for a, b in _pairs(model) if geom in (a, b)]
+                others = (*partners(model, geom), *explicit)
+                pairs |= dict.fromkeys((geom, o) for o in others if not _is_fixed(model, o))
         else:
             return []
     return list(pairs)
@@ -39,19 +40,19 @@ def needed_contacts(model: mujoco.MjModel, cells: Iterable[Cells]) -> list[tuple
 
 def partners(model: mujoco.MjModel, row: int) -> Iterator[int]:
     """Geoms that may touch a geom, other than through an explicit pair."""
-    pairs = {(int(a), int(b)) for a, b in zip(model.pair_geom1, model.pair_geom2, strict=True)}
-    body = model.geom_bodyid[row]
+    pairs, weld = _pairs(model), model.body_weldid
+    own = int(weld[model.geom_bodyid[row]])
     mask = (model.geom_contype[row] & model.geom_conaffinity) | (
         model.geom_conaffinity[row] & model.geom_contype
     )
-    for other in np.flatnonzero(mask):
-        other_body = model.geom_bodyid[other]
-        if model.body_weldid[other_body] == model.body_weldid[body]:
+    for other in map(int, np.flatnonzero(mask)):
+        body = int(weld[model.geom_bodyid[other]])
+        # MuJoCo keeps parent and child from colliding, unless the parent is the world
+        parent, child = (int(weld[model.body_parentid[one]]) if one else -1 for one in (own, body))
+        if body == own or (own and child == own) or (body and parent == body):
             continue
-        if _related(model, int(body), int(other_body)):
-            continue
-        if (row, int(other)) not in pairs and (int(other), row) not in pairs:
-            yield int(other)
+        if (row, other) not in pairs and (other, row) not in pairs:
+            yield other
 
 
 def geom_name(model: mujoco.MjModel, row: int) -> str:
@@ -60,18 +61,8 @@ def geom_name(model: mujoco.MjModel, row: int) -> str:
     return f"geom {name!r}" if name else f"a geom of body {model.body(model.geom_bodyid[row]).name!r}"
 
 
-def _related(model: mujoco.MjModel, a: int, b: int) -> bool:
-    """Parent and child, which MuJoCo keeps from colliding unless the parent is the world."""
-    a, b = int(model.body_weldid[a]), int(model.body_weldid[b])
-    parent = {x: int(model.body_weldid[model.body_parentid[x]]) for x in (a, b)}
-    return (a != 0 and parent[b] == a) or (b != 0 and parent[a] == b)
-
-
-def _paired(model: mujoco.MjModel, geom: int) -> list[int]:
-    """The other geoms of a geom's explicit pairs, without those that are fixed to the world."""
-    pairs = [(int(a), int(b)) for a, b in zip(model.pair_geom1, model.pair_geom2, strict=True)]
-    others = [b if a == geom else a for a, b in pairs if geom in (a, b)]
-    return [other for other in others if not _is_fixed(model, other)]
+def _pairs(model: mujoco.MjModel) -> list[tuple[int, int]]:
+    return [(int(a), int(b)) for a, b in zip(model.pair_geom1, model.pair_geom2, strict=True)]
 
 
 def _is_fixed(model: mujoco.MjModel, geom: int) -> bool:
