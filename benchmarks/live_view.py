@@ -25,8 +25,7 @@ from amhe_cli.cli.watching import watching_run
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.live.loop import drive
 from amhe_cli.robots.go1.judge import History
-from amhe_cli.robots.go1.recording import recorder_of
-from amhe_cli.robots.go1.run import RunOptions, open_run
+from amhe_cli.robots.go1.run import RunOptions, open_run, recorder_of
 
 #: A viewer: asks for the stream of an address, and reads it, or reads nothing of it.
 VIEWER = """

@@ -25,8 +25,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.engine.rollout import Engine, Rollouts
 from amhe_cli.estimation.online.replay import ReplayProblem, open_replay, replay
 from amhe_cli.logs import read_log
-from amhe_cli.robots.go1.recording import recorder_of
-from amhe_cli.robots.go1.run import RunOptions, open_run
+from amhe_cli.robots.go1.run import RunOptions, open_run, recorder_of
 from amhe_cli.system.system import System
 
 PROJECT = Path(__file__).resolve().parent.parent

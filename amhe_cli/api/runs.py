@@ -125,8 +125,7 @@ def run(
     """
     from amhe_cli.live.loop import drive
     from amhe_cli.robots.go1.judge import History, run_record
-    from amhe_cli.robots.go1.recording import recorder_of
-    from amhe_cli.robots.go1.run import RunOptions, open_run
+    from amhe_cli.robots.go1.run import RunOptions, open_run, recorder_of
     from amhe_cli.robots.go1.tasks import LONGEST
 
     hush_mujoco()

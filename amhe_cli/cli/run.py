@@ -125,7 +125,7 @@ def _driven(
     from amhe_cli.cli.progress import progress
     from amhe_cli.live.loop import drive
     from amhe_cli.robots.go1.judge import History
-    from amhe_cli.robots.go1.recording import recorder_of
+    from amhe_cli.robots.go1.run import recorder_of
 
     history, title = History(run.task), f"{run.options.task} {run.options.mode}"
     with ExitStack() as stack:

@@ -110,7 +110,6 @@ class Controller:
         behaviour: How the task moves the robot.
         robot: The robot as the planner's model has it.
         engine: Rollouts of the planner's model.
-        settings: Settings of MPOPI.
         names: Names of the parameters theta, in the engine's order.
         rng: Source of all samples.
         pace: Divides the time before a deadline; of this controller alone.

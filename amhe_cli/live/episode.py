@@ -93,7 +93,6 @@ class Episode:
     Args:
         target: Robot or simulation that is controlled.
         observe: Gives the state at a time [s] from the measurements since the last call.
-        controller: Makes the plans.
         belief: Gives the parameters that the controller plans with.
         sample: Gives the samples for log and estimator, from the measurements of a cycle and its estimate.
         judge: Says when the episode is over.
@@ -169,7 +168,6 @@ class AdaptiveBelief:
 
     Args:
         start: Parameters by name before the first estimate.
-        tracker: Tracker that estimates them.
     """
 
     def __init__(self, start: Mapping[str, float], tracker: Tracker) -> None:

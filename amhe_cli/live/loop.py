@@ -42,7 +42,6 @@ def drive(
     A trouble is a warning when it first occurs; one that came again is another in the end, with its count.
 
     Args:
-        episode: The episode to run.
         recorder: Recorder of the run, open; the caller closes it.
         history: Takes in every cycle.
         stopped: Called after each cycle; True: stop here.

@@ -10,7 +10,6 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol
 
 import numpy as np
 
@@ -53,20 +52,12 @@ uint32 deadline_misses
 """
 #: Types of all messages that are written.
 _TYPES = (
-    "sensor_msgs/msg/JointState", "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry", "nav_msgs/msg/Path",
+    "sensor_msgs/msg/JointState", "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry",
     "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage", "diagnostic_msgs/msg/DiagnosticArray",
     PLAN, TIMING, estimates.ESTIMATE,
 )  # fmt: skip
 #: Longest time between two messages of content that changes seldom, and of content that never changes [s].
 SELDOM, NEVER = 0.1, 1.0
-
-
-class MoreMessages(Protocol):
-    """Messages that only one robot or task has."""
-
-    def write(self, log: LogWriter, cycle: Cycle) -> None:
-        """Append what a cycle has of them."""
-        ...
 
 
 class Recorder:
@@ -75,9 +66,7 @@ class Recorder:
     Args:
         path: Path of the .mcap file; it is complete and readable however the block ends.
         signals: Signals whose samples are written.
-        metadata: Metadata of the log.
         attachments: Texts by file name.
-        more: Messages that only this robot or task has.
 
     Raises:
         ConfigError: A signal is of a message type that cannot be written.
@@ -89,12 +78,11 @@ class Recorder:
         signals: Sequence[Signal],
         metadata: Mapping[str, str],
         attachments: Mapping[str, str],
-        more: MoreMessages | None = None,
     ) -> None:
         for signal in signals:
             message_type(signal)
         self._log = LogWriter(path, metadata)
-        self._signals, self._attachments, self._more = signals, dict(attachments), more
+        self._signals, self._attachments = signals, dict(attachments)
         self._throttle = Throttle()
         self._misses = 0
 
@@ -119,8 +107,6 @@ class Recorder:
         self._transforms(cycle.samples)
         self._beliefs(cycle)
         self._news(cycle)
-        if self._more:
-            self._more.write(self._log, cycle)
         self._plan(cycle)
 
     def note(self, time: float, level: int, text: str) -> None:
@@ -189,7 +175,6 @@ class Throttle:
         """Whether to write a topic now; True counts as written.
 
         Args:
-            topic: Name of the topic.
             time: Present time [s].
             period: Longest time between two messages [s].
             content: What would be written; compared with the last content.

@@ -82,7 +82,6 @@ class SimTarget:
     """A plant in lock-step, or at the pace of the wall clock.
 
     Args:
-        plant: The simulation.
         period: Control period [s].
         stand: Joint targets before the first plan [rad], shape (n,).
         realtime: Keep pace with the wall clock: while a plan takes too long, simulated time goes on.

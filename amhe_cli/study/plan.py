@@ -208,7 +208,6 @@ def study_of(options: EvalOptions, command_line: str, made: str, machine: Mappin
     """The description that all cells of a request share.
 
     Args:
-        options: The request.
         command_line: The command that makes it.
         made: The current time (UTC).
         machine: Hardware and operating system of this machine.

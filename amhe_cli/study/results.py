@@ -35,7 +35,6 @@ class CellResult:
     """A cell and its result.
 
     Args:
-        cell: The cell.
         code: Versions and hashes of what decides a result.
         reason: Why the run failed; None: it did not.
         outcome: Content of the run's result.json; {} of a failed one.

@@ -57,12 +57,7 @@ class Study:
 
 
 class Store:
-    """Result files in a folder; each appears whole or not at all.
-
-    Args:
-        folder: Folder of the study.
-        study: Description of the study.
-    """
+    """Result files in a folder; each appears whole or not at all."""
 
     def __init__(self, folder: Path, study: Study) -> None:
         self.folder, self.study = folder, study
@@ -133,11 +128,8 @@ def start(folder: Path, study: Study, resume: bool, force: bool, cells: Sequence
     """The store to write to: a new one, or one to continue.
 
     Args:
-        folder: Folder of the study.
-        study: Description of the study.
         resume: Continue with the content of the folder.
         force: Overwrite the content of the folder.
-        cells: Cells to run.
 
     Raises:
         ConfigError: The folder is not empty, or holds a study that this one must not be mixed with.
@@ -218,7 +210,6 @@ def conduct(
 
     Args:
         store: Store of the results; it is written to from here, so that workers need no common disk.
-        cells: Cells to run.
         run: Runs one cell: from a request to the content of a result file.
         pool: Executor that the cells are run on.
         stopped: Called now and then; returns whether to give up the cells that are running.

@@ -180,7 +180,6 @@ class Groups:
     """All groups of a study, in a given order of tasks and modes; unknown ones come last.
 
     Args:
-        results: Results of a study.
         base: Operating point of the study: the setting of the tables.
         tasks, modes: Order of tasks and modes.
     """
@@ -282,7 +281,6 @@ def ablations(groups: Groups, defaults: Mapping[str, Any]) -> list[Ablation]:
     """All ablations that were run.
 
     Args:
-        groups: Groups of the study.
         defaults: Each setting's default, by its path.
     """
     base, found = dict(groups.base), dict[tuple[str, str, str], list[tuple[Any, Group]]]()

@@ -18,8 +18,7 @@ from amhe_cli.estimation.online.workers import InProcess
 from amhe_cli.live.episode import Cycle
 from amhe_cli.logs import read_log
 from amhe_cli.robots.go1.kinematics import JOINTS
-from amhe_cli.robots.go1.recording import recorder_of
-from amhe_cli.robots.go1.run import RunOptions, estimator_of, open_run
+from amhe_cli.robots.go1.run import RunOptions, estimator_of, open_run, recorder_of
 from amhe_cli.robots.go1.tasks import Believed, find_task
 from amhe_cli.system.system import System
 from tests.estimation.online.test_workers import ready, wait

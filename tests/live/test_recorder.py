@@ -10,8 +10,7 @@ from amhe_cli.core.log import merged
 from amhe_cli.live.recorder import WALL_CLOCK, Recorder
 from amhe_cli.logs import inspect_log, read_log, read_metadata, survey
 from amhe_cli.robots.go1.kinematics import JOINTS
-from amhe_cli.robots.go1.recording import recorder_of
-from amhe_cli.robots.go1.run import RunOptions, open_run
+from amhe_cli.robots.go1.run import RunOptions, open_run, recorder_of
 from amhe_cli.system.system import System
 
 QUICK = {"control": {"samples": 5, "horizon": 8}}

@@ -65,7 +65,6 @@ class Judge:
     A state also stands for the periods before it that brought none: a late controller must not look cheap.
 
     Args:
-        task: The task that the robot performs.
         running_cost: Terms of the running cost of a state, from a behaviour that performs the task.
         period: Time between two states [s].
         longest: Longest duration of the episode [s].
@@ -177,7 +176,6 @@ class History:
     """Rows of numbers, one for each cycle; of the true state where it is known, else of the estimated one.
 
     Args:
-        task: The task.
         estimates: Estimates of the online estimator, in adaptive runs.
         compares: Whether a robot is noticed that is another one than its model; a rehearsal's never is.
     """

@@ -7,6 +7,7 @@ there, of the same torque at the speed of a walking joint, and the gait leads th
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -16,6 +17,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from amhe_cli import __version__
 from amhe_cli.control.controller import Controller
 from amhe_cli.control.protocols import Behaviour
 from amhe_cli.core.arrays import FloatArray
@@ -23,12 +25,14 @@ from amhe_cli.core.belief import Belief, belief_for, belief_of, completed
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.log import Samples, Thinner, since
 from amhe_cli.core.rotations import exp, multiply
+from amhe_cli.core.signals import Signal
 from amhe_cli.core.yaml_file import merged
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import MovingHorizon, check_window
 from amhe_cli.estimation.online.tracker import Tracker
 from amhe_cli.estimation.online.workers import PATIENCE, InProcess, InStep
 from amhe_cli.live.episode import AdaptiveBelief, BeliefSource, Episode, FixedBelief
+from amhe_cli.live.recorder import Recorder
 from amhe_cli.live.target import SimTarget, Target
 from amhe_cli.robots.go1.behaviours.gait import Gait
 from amhe_cli.robots.go1.judge import Judge
@@ -39,6 +43,7 @@ from amhe_cli.robots.go1.settings import PushSettings, settings_of
 from amhe_cli.robots.go1.state import GRAVITY, Go1, State
 from amhe_cli.robots.go1.state_estimator import StateEstimator
 from amhe_cli.robots.go1.tasks import LONGEST, Task, find_task
+from amhe_cli.system.provenance import attachments
 from amhe_cli.system.system import System
 
 #: Speed of a joint at which dry friction and its stand-in are equal [rad/s]; dry friction of the model that
@@ -182,12 +187,8 @@ class Run:
 
     Args:
         options: Options that the run was opened with.
-        task: The task.
         system: `go1_push` with the user's settings.
-        episode: The episode, ready to run.
-        target: Target of the episode.
         plant: Plant behind a simulated target, for pictures; None for a real robot.
-        judge: Judge of the episode.
         first_truth: The plant's parameters at the start, by name; {} where they are unknown.
     """
 
@@ -215,7 +216,6 @@ def open_run(options: RunOptions, task: Task | None = None) -> Run:
     """Prepare a run.
 
     Args:
-        options: Options of the run.
         task: The task, in place of the one that the options name.
 
     Raises:
@@ -306,7 +306,6 @@ def task_and_system(options: RunOptions, task: Task | None = None) -> tuple[Task
     """The task with its box as measured, and `go1_push` with that box and the user's settings.
 
     Args:
-        options: Options of the run.
         task: The task, in place of the one that the options name.
 
     Raises:
@@ -336,8 +335,6 @@ def belief_source(
     """Source of the controller's belief: the plant, where there is one, fixed parameters, or an estimator.
 
     Args:
-        options: Options of the run.
-        task: The task that the robot performs.
         system: The system whose parameters are estimated.
         plant: Plant behind a simulated target; None for a real robot.
         slow: How many seconds of the wall clock one second of the run takes: the estimator has that much
@@ -369,7 +366,6 @@ def estimator_of(options: RunOptions, start: Belief, belief: Belief | None = Non
     """The estimator of an adaptive run; its arguments are all it needs, also in another process.
 
     Args:
-        options: Options of the run.
         start: Prior belief at the start of the run.
         belief: Belief from which to go on after an estimator has ended; None: `start`.
     """
@@ -410,3 +406,32 @@ def _start(qpos: FloatArray, trunk: slice, rng: np.random.Generator) -> FloatArr
     pose[:2] += rng.uniform(-_START_PLACE, _START_PLACE, 2)
     pose[3:] = multiply(exp(np.array([0.0, 0.0, rng.uniform(-_START_TURN, _START_TURN)])), pose[3:])
     return qpos
+
+
+#: Recorded in addition to the system's own signals. It measures no orientation, which is in /odom.
+_IMU = Signal(
+    "imu",
+    "/imu",
+    ("angular_velocity", "linear_acceleration"),
+    type="sensor_msgs/msg/Imu",
+    child_frame="trunk",
+)
+
+
+def recorder_of(run: Run, path: Path) -> Recorder:
+    """The recorder of a run's log, with the metadata that say what the log shows."""
+    options = run.options
+    metadata = {
+        "system": run.system.name,
+        "seed": str(options.seed),
+        "task": options.task,
+        "mode": options.mode,
+        "target": options.target,
+        "version": __version__,
+    }
+    known = {key: value for key, value in run.options.settings.items() if key == "parameters"}
+    if stated := merged(measured(run.task), known):  # so that the reader of the log has the same model
+        metadata["overrides"] = json.dumps(stated)
+    if run.first_truth and not run.task.changes:  # values that change are in /amhe/truth
+        metadata["truth"] = json.dumps(run.first_truth)
+    return Recorder(path, (*run.system.signals, _IMU), metadata, attachments(run.system))

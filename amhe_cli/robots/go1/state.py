@@ -88,13 +88,15 @@ def heading_velocity(body: Body) -> tuple[float, float]:
 
 def state_of(at: ModelLayout, time: float, qpos: FloatArray, qvel: FloatArray) -> State:
     """The state of a model that lies at `at`: copies, whatever happens to the model's own arrays."""
-    return State(
-        time,
-        _body(qpos[at.trunk], qvel[at.trunk_v]),
-        _body(qpos[at.box], qvel[at.box_v]),
-        np.array(qpos[at.joints]),
-        np.array(qvel[at.joints_v]),
-    )
+    qpos, qvel = np.array(qpos), np.array(qvel)
+    return State(time, *bodies(at, qpos, qvel), qpos[at.joints], qvel[at.joints_v])
+
+
+def bodies(at: ModelLayout, qpos: FloatArray, qvel: FloatArray) -> tuple[Body, Body]:
+    """Trunk and box of coordinates (..., nq) and velocities (..., nv), as views of them."""
+    pairs = ((qpos[..., at.trunk], qvel[..., at.trunk_v]), (qpos[..., at.box], qvel[..., at.box_v]))
+    trunk, box = (Body(q[..., :3], q[..., 3:], v[..., :3], v[..., 3:]) for q, v in pairs)
+    return trunk, box
 
 
 def coordinates(at: ModelLayout, state: State) -> tuple[FloatArray, FloatArray]:
@@ -107,10 +109,6 @@ def coordinates(at: ModelLayout, state: State) -> tuple[FloatArray, FloatArray]:
     qvel[at.box_v] = np.concatenate((state.box.velocity, state.box.rate))
     qvel[at.joints_v] = state.joint_rates
     return qpos, qvel
-
-
-def _body(pose: FloatArray, twist: FloatArray) -> Body:
-    return Body(np.array(pose[:3]), np.array(pose[3:]), np.array(twist[:3]), np.array(twist[3:]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,10 +139,5 @@ class Go1:
         return state_of(self.at, time, qpos, qvel)
 
     def bodies(self, qpos: FloatArray, qvel: FloatArray) -> tuple[Body, Body]:
-        """Trunk and box."""
-
-        def body(q: slice, v: slice) -> Body:
-            pose, twist = qpos[..., q], qvel[..., v]
-            return Body(pose[..., :3], pose[..., 3:], twist[..., :3], twist[..., 3:])
-
-        return body(self.at.trunk, self.at.trunk_v), body(self.at.box, self.at.box_v)
+        """See `Robot`."""
+        return bodies(self.at, qpos, qvel)

@@ -118,11 +118,7 @@ class Task:
         return texts
 
 
-def _light() -> Believed:
-    return Believed(2.0, 0.3)
-
-
-_STALE = Believed(2.0, 0.2)
+_LIGHT, _STALE = Believed(2.0, 0.3), Believed(2.0, 0.2)
 _TERRAIN = (Change(floor_friction=0.8, beyond_x=1.5),)
 
 TASKS = {
@@ -130,11 +126,11 @@ TASKS = {
     for task in (
         Task(
             "t1", "single-goal push", Box(mass=4.0, floor_friction=0.6), Course(_AHEAD, 0.0, 2.4), 12.0,
-            baseline=_light(),
+            baseline=_LIGHT,
         ),
         Task(
             "t2", "circular path", Box(mass=4.0, floor_friction=0.4),
-            Course(_AHEAD, 0.0, 1.5 * np.pi, curvature=1.0 / 1.5), 23.6, baseline=_light(), corridor=0.4,
+            Course(_AHEAD, 0.0, 1.5 * np.pi, curvature=1.0 / 1.5), 23.6, baseline=_LIGHT, corridor=0.4,
         ),
         Task(
             "t3", "mass switch", Box(mass=4.0, floor_friction=0.4), Course(_AHEAD, 0.0, 3.0), 15.0,
@@ -146,7 +142,7 @@ TASKS = {
         ),
         Task(
             "t5", "one front leg", Box((0.2, 0.3, 0.3), 3.0, 0.4, _BESIDE),
-            Course(_BESIDE, -0.5 * np.pi, 0.5), 10.0, baseline=_light(), one_leg=True,
+            Course(_BESIDE, -0.5 * np.pi, 0.5), 10.0, baseline=_LIGHT, one_leg=True,
         ),
         Task(
             "hw1", "a load put into the basket", Box(mass=3.0, floor_friction=0.4), Course(_AHEAD, 0.0, 2.4),

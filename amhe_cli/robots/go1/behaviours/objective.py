@@ -136,7 +136,6 @@ def push_terms(
     """Terms of walking behind a box, each shape (..., H).
 
     Args:
-        weights: Weights of the terms.
         trunk, box: Motions, leading axes (..., H).
         height: Desired height of the trunk [m].
         at: What robot and box should do.

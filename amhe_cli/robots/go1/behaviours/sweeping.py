@@ -260,12 +260,10 @@ class Sweeping:
     foot's last target, and how far the foot has been lowered since it came back.
 
     Args:
-        path: Path of the box.
         half_width: Distance from the box's middle to the face that is pushed [m].
         taper: Last distance of the path over which the speed goes to zero [m].
         gait, tripod: Shape of the stance, and how the leg becomes free.
         shape: How the leg sweeps.
-        weights: Weights of the cost.
         trunk_height: Desired height of the trunk [m].
     """
 
@@ -289,10 +287,7 @@ class Sweeping:
     def __post_init__(self) -> None:
         self._planted = neutral_feet(self.gait)
 
-    @property
-    def channel_sigma(self) -> FloatArray:
-        """See `Behaviour`."""
-        return CHANNEL_SIGMA
+    channel_sigma = CHANNEL_SIGMA
 
     @property
     def knot_weight(self) -> float:

@@ -161,7 +161,6 @@ class Helm:
     """Turns states into references; remembers whether the robot is backing off, and how slow it is.
 
     Args:
-        path: Path of the box.
         speed: Commanded speed [m/s].
         taper: Last distance of the path over which the speed goes to zero [m].
         half_length, half_width: Half the extent of the box along and across the push [m].
@@ -327,7 +326,6 @@ class WalkMove:
 
     Args:
         gait: How the legs step.
-        weights: Weights of the cost.
         height: Desired height of the trunk [m].
         reference: What robot and box should do.
         command: A command: ahead, left [m/s], yaw rate [rad/s], push [N]; shape (4,).
@@ -361,7 +359,6 @@ class Walking:
     Args:
         helm: Decides where to go.
         gait: How the legs step.
-        weights: Weights of the cost.
         gains: Gains of the bare reference.
         stepping: Where feet land when the robot drifts aside.
         height: Desired height of the trunk in the cost [m]. Not `Gait.height`, which is how far below the
@@ -375,10 +372,7 @@ class Walking:
     stepping: Stepping = field(default_factory=Stepping)
     height: float = 0.28
 
-    @property
-    def channel_sigma(self) -> FloatArray:
-        """See `Behaviour`."""
-        return CHANNEL_SIGMA
+    channel_sigma = CHANNEL_SIGMA
 
     @property
     def knot_weight(self) -> float:

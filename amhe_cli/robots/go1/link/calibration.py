@@ -62,8 +62,6 @@ class Calibration(Opened):
     Args:
         link: Link to the robot, whose joints and IMU tell how it lies.
         feed: Source of poses.
-        settings: Settings of the robot.
-        clock: The program's clock.
         box: Box of the task, and where it is to be put down.
     """
 

@@ -41,8 +41,6 @@ class SenderWatch:
         child: The sender's process.
         robot: The sender's own socket. The watch has a duplicate, open until the robot is down: in an
             emergency none can fail to open, and no Ctrl-C closes it.
-        settings: Settings of the robot.
-        clock: The program's clock.
 
     Attributes:
         report: The newest report of the sender; if it was lost, of what is done in its place.
@@ -133,8 +131,6 @@ class Link(Opened):
 
     Args:
         host, port: Address of the robot.
-        settings: Settings of the robot.
-        clock: The program's clock.
         keys: Descriptor of a terminal whose keys arm and stop; -1: none.
     """
 

@@ -23,7 +23,6 @@ class View:
     """All that trips depend on.
 
     Args:
-        phase: Present phase.
         inbox: All that is known at this tick.
         state: Newest state of the robot.
         gap: Time since the packet before [s].
@@ -201,11 +200,7 @@ _ENDS = {Phase.CONNECT: Phase.OVER, Phase.HOLD: Phase.DAMP, Phase.STAND: Phase.D
 class Machine:
     """Steps through the phases, one packet at a time.
 
-    Args:
-        settings: Settings of the robot.
-
     Attributes:
-        phase: Present phase.
         trip: Name of the first trip; '' if there was none.
         reason: Why it tripped, in words.
         commanded: The newest joint targets that a robot was sent [rad], shape (12,).

@@ -18,7 +18,7 @@ from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.packets import LinkError
 from amhe_cli.robots.go1.link.process import Clock, planning_first
 from amhe_cli.robots.go1.link.target import Go1Target
-from amhe_cli.robots.go1.poses.feed import KINDS, FeedOptions, PoseFeed
+from amhe_cli.robots.go1.poses.feed import KINDS, PoseFeed
 from amhe_cli.robots.go1.poses.sources import NATNET_PORT, UDP_PORT
 from amhe_cli.robots.go1.run import Run, RunOptions, generator, latency_of, run_on, task_and_system
 from amhe_cli.robots.go1.settings import Go1Settings, settings_of
@@ -58,7 +58,6 @@ def pace(cycles: Sequence[Cycle], samples: int, period: float) -> str:
     """The pace of some cycles in words.
 
     Args:
-        cycles: The cycles.
         samples: Rollouts that each should have had.
         period: Control period by the wall clock [s].
 
@@ -92,7 +91,7 @@ class WireOptions:
     Args:
         host, port: Address of the robot.
         pose: Protocol of motion capture.
-        pose_host, pose_port: Address of motion capture, see `FeedOptions`; None: the default of the protocol.
+        pose_host, pose_port: Address of motion capture, see `PoseFeed`; None: the default of the protocol.
         keys: Descriptor of a terminal whose keys arm and stop; -1: none.
     """
 
@@ -108,21 +107,24 @@ def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = Non
     """Set everything up; nothing is sent yet.
 
     Args:
-        options: Options of the run.
         wire: Addresses of robot and motion capture.
         task: The task, in place of the one that the options name.
 
     Raises:
         ConfigError: What `open_run` refuses, and what only a simulation can do.
     """
-    _refuse(options)
+    if options.mode == "true":
+        raise ConfigError(
+            "`mode=true` needs a plant whose parameters are known; on go1 use adaptive or baseline"
+        )
+    if options.plant is not None:
+        raise ConfigError("`plant` is the robot of a simulation; leave it out with `target=go1`")
     task, system = task_and_system(options, task)
     settings, period = settings_of(system).go1, settings_of(system).control.period
     if settings.arm == "auto" and not _on_loopback(wire.host):
         raise ConfigError(f"go1.arm=auto is for the emulator on this computer; {wire.host} is a robot")
     clock = _clock(wire, settings)
-    feed = PoseFeed(_feed(wire, settings))
-    link = Link(wire.host, wire.port, settings, clock, wire.keys)
+    link, feed = Link(wire.host, wire.port, settings, clock, wire.keys), _feed(wire, settings)
     target = Go1Target(link, feed, settings, clock, period, task.box, latency_of(system))
     samples = generator(options.seed, "samples")
     with planning_first() as (cores, _):  # the threads of its rollouts, too
@@ -139,8 +141,8 @@ def open_calibration(options: RunOptions, wire: WireOptions) -> Calibration:
     task, system = task_and_system(options)
     settings = settings_of(system).go1
     clock = _clock(wire, settings)
-    link, feed = Link(wire.host, wire.port, settings, clock), PoseFeed(_feed(wire, settings))
-    return Calibration(link, feed, settings, clock, task.box)
+    link = Link(wire.host, wire.port, settings, clock)
+    return Calibration(link, _feed(wire, settings), settings, clock, task.box)
 
 
 def _clock(wire: WireOptions, settings: Go1Settings) -> Clock:
@@ -150,26 +152,16 @@ def _clock(wire: WireOptions, settings: Go1Settings) -> Clock:
     return Clock(settings.slow)
 
 
-def _refuse(options: RunOptions) -> None:
-    if options.mode == "true":
-        raise ConfigError(
-            "`mode=true` needs a plant whose parameters are known; on go1 use adaptive or baseline"
-        )
-    if options.plant is not None:
-        raise ConfigError("`plant` is the robot of a simulation; leave it out with `target=go1`")
-
-
-def _feed(wire: WireOptions, settings: Go1Settings) -> FeedOptions:
+def _feed(wire: WireOptions, settings: Go1Settings) -> PoseFeed:
     if wire.pose not in KINDS:
         raise ConfigError(one_of("pose source", wire.pose, KINDS))
     host = wire.pose_host or _POSE_HOSTS.get(wire.pose)
     if host is None:
         raise ConfigError("`pose=motioncapture` needs `pose_host` KIND:HOST, such as vicon:192.168.1.5")
     port = wire.pose_port if wire.pose_port is not None else _POSE_PORTS.get(wire.pose, 0)
-    bodies = (settings.trunk, settings.box)
-    if bodies[0] == bodies[1]:
-        raise ConfigError(f"go1.trunk and go1.box have the same name {bodies[0]!r}")
-    return FeedOptions(wire.pose, host, port, bodies, settings.connect_time, settings.slow, settings.poses)
+    if settings.trunk == settings.box:
+        raise ConfigError(f"go1.trunk and go1.box have the same name {settings.box!r}")
+    return PoseFeed(wire.pose, host, port, settings)
 
 
 def _on_loopback(host: str) -> bool:

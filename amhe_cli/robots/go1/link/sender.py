@@ -44,10 +44,6 @@ _LARGEST, _MOST = 2048, 1000
 class RobotSocket:
     """A UDP socket for one address only; it ignores all others.
 
-    Args:
-        connected: The socket, see `connected`.
-        clock: The program's clock.
-
     Attributes:
         refused: How often the other computer reported that no program listens there.
         empty: When there was nothing to read for the last time [s]: what is read next arrived later.
@@ -290,10 +286,6 @@ class Sender:
     """The sender's loop; see `run`.
 
     Args:
-        settings: Settings of the robot.
-        robot: Socket to the robot.
-        pipe: Pipe to the program.
-        clock: The program's clock.
         signals: Descriptor from which numbers of signals to the program are read.
         keys: Descriptor of a terminal whose keys are read; -1: none.
         realtime: Whether it has real-time priority.

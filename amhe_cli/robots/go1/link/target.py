@@ -50,10 +50,7 @@ class Go1Target(Opened):
     """See `live.target.Target`; use it as a context manager, then `check`, then `begin`.
 
     Args:
-        link: Link to the robot.
         feed: Source of poses.
-        settings: Settings of the robot.
-        clock: The program's clock.
         period: Control period [s].
         box: The task's box, where it is at the start.
         latency: Time that the robot itself takes to act on a command, as far as it is known [s].

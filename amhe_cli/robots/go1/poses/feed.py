@@ -6,15 +6,14 @@ import ctypes
 import signal
 import sys
 import time
-from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.robots.go1.link.process import POSES, Child, Clock, ClockMap, Opened, Pipe, begun, take_priority
 from amhe_cli.robots.go1.poses.sources import MotionCapture, NatNet, PoseError, PoseSource, Sighting, UdpPoses
-from amhe_cli.robots.go1.settings import PoseSettings
+from amhe_cli.robots.go1.settings import Go1Settings
 
 KINDS = ("natnet", "motioncapture", "udp")
 _WAIT, _STEP, _START = 0.05, 0.005, 20.0
@@ -23,40 +22,19 @@ _AHEAD, _AGAIN = 0.25, 100
 _PR_SET_PDEATHSIG = 1
 
 
-@dataclass(frozen=True, slots=True)
-class FeedOptions:
-    """Kind, address and bodies of a source of poses.
-
-    Args:
-        kind: One of `KINDS`.
-        host: natnet: Motive's host; motioncapture: KIND:HOST, such as vicon:192.168.1.5; udp: own address to
-            listen on.
-        port: Port of natnet or udp.
-        bodies: Names of the two bodies.
-        seconds: Longest wait for the first poses [s].
-        slow: See `Clock`.
-        settings: Who may send poses.
-    """
-
-    kind: str
-    host: str
-    port: int
-    bodies: Sequence[str]
-    seconds: float
-    slow: float = 1.0
-    settings: PoseSettings = field(default_factory=PoseSettings)
-
-
-def source_of(options: FeedOptions) -> PoseSource:
-    """The source that options describe."""
-    match options.kind:
+def _source_of(kind: str, host: str, port: int, settings: Go1Settings) -> PoseSource:
+    match kind:
         case "natnet":
-            return NatNet(options.host, options.port, options.seconds, options.settings.data_port)
+            return NatNet(host, port, _patience(settings), settings.poses.data_port)
         case "udp":
-            return UdpPoses(options.host, options.port, options.settings.peer)
+            return UdpPoses(host, port, settings.poses.peer)
         case _:
-            kind, _, host = options.host.partition(":")
-            return MotionCapture(kind, host)
+            return MotionCapture(*host.split(":", 1))
+
+
+def _patience(settings: Go1Settings) -> float:
+    """Longest wait for the first poses [s of the wall clock]."""
+    return settings.connect_time * max(1.0, settings.slow)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +42,6 @@ class TimedPose:
     """A pose on our clock, in the source's frame.
 
     Args:
-        body: Name of the body.
         time: Time of the exposure [s].
         position: Position [m], shape (3,).
         orientation: Unit quaternion w, x, y, z, shape (4,).
@@ -89,20 +66,25 @@ class PoseFeed(Opened):
     """A source of poses in a process of its own; use it as a context manager.
 
     Args:
-        options: Kind, address and bodies of the source.
+        kind: One of `KINDS`.
+        host: natnet: Motive's host; motioncapture: KIND:HOST, such as vicon:192.168.1.5; udp: own address to
+            listen on.
+        port: Port of natnet or udp.
+        settings: The bodies' names, how long to wait for them, and who may send poses.
 
     Attributes:
         about: Whom the source listens to, in words.
         realtime: Whether it has real-time priority.
     """
 
-    def __init__(self, options: FeedOptions) -> None:
-        self._options = options
+    def __init__(self, kind: str, host: str, port: int, settings: Go1Settings) -> None:
+        self._given, self._kind, self._settings = (kind, host, port, settings), kind, settings
+        self._bodies = settings.trunk, settings.box
         self.about, self.realtime = "", False
         self._child: Child | None = None
 
     def _open(self, opening: ExitStack) -> None:
-        self._child = Child("amhe_cli.robots.go1.poses.feed", self._options)
+        self._child = Child("amhe_cli.robots.go1.poses.feed", self._given)
         opening.callback(self._child.end, 0.5)
 
     def first(self) -> dict[str, TimedPose]:
@@ -113,17 +95,16 @@ class PoseFeed(Opened):
         """
         seen: dict[str, TimedPose] = {}
         end = time.monotonic() + _START
-        while time.monotonic() < end and not set(self._options.bodies) <= set(seen):
+        while time.monotonic() < end and not set(self._bodies) <= set(seen):
             for message in self._messages():
                 if isinstance(message, TimedPose):
                     seen[message.body] = message
                 else:  # its Python has started: the wait begins now
                     self.about, self.realtime = message
-                    end = time.monotonic() + self._options.seconds * max(1.0, self._options.slow)
+                    end = time.monotonic() + _patience(self._settings)
             time.sleep(_STEP)
-        missing = [name for name in self._options.bodies if name not in seen]
-        if missing:
-            raise PoseError(self._absent(missing, set(seen) - set(self._options.bodies)))
+        if missing := [name for name in self._bodies if name not in seen]:
+            raise PoseError(self._absent(missing, set(seen) - set(self._bodies)))
         return seen
 
     def poses(self) -> list[TimedPose]:
@@ -142,15 +123,14 @@ class PoseFeed(Opened):
             if isinstance(message, PoseError):
                 raise message
         if not self._child.pipe.open:
-            raise PoseError(f"the pose source {self._options.kind} has died")
+            raise PoseError(f"the pose source {self._kind} has died")
         return messages
 
     def _absent(self, missing: list[str], others: set[str]) -> str:
-        o = self._options
         known = f"it has: {', '.join(sorted(others))}" if others else "it sends no body at all"
         return (
-            f"{o.kind} sends no pose of {' and '.join(map(repr, missing))} within {o.seconds:g} s; {known}. "
-            "Name the bodies with `go1.trunk=NAME` `go1.box=NAME`"
+            f"{self._kind} sends no pose of {' and '.join(map(repr, missing))} within "
+            f"{self._settings.connect_time:g} s; {known}. Name them with `go1.trunk=NAME` `go1.box=NAME`"
         )
 
 
@@ -196,9 +176,8 @@ def main() -> None:
     for number in (signal.SIGINT, signal.SIGTERM):  # meant for the program, which needs poses to sit down
         signal.signal(number, signal.SIG_IGN)
     _end_with_the_program()
-    pipe, options = begun()
-    sender = _Sender(pipe, Clock(options.slow))
-    source = source_of(replace(options, seconds=options.seconds * max(1.0, options.slow)))
+    pipe, given = begun()
+    sender, source = _Sender(pipe, Clock(given[-1].slow)), _source_of(*given)
     realtime = take_priority(POSES)  # a late pose looks like a lost one
     pipe.send(_Begun(source.about, realtime))
     try:

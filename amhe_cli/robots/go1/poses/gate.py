@@ -74,7 +74,6 @@ def check_axes(trunk: Pose, imu: FloatArray) -> None:
     """Refuse a frame that is not in metres with z upward, by comparison with the IMU.
 
     Args:
-        trunk: Pose of the trunk by motion capture.
         imu: Orientation by the IMU, shape (4,); its heading does not matter.
 
     Raises:
@@ -187,7 +186,6 @@ class Gate:
         """Whether a pose is believed; it then counts for the next ones.
 
         Args:
-            body: Name of the body.
             time: Time of the exposure [s].
             pose: Pose of the body.
             now: Present time [s].

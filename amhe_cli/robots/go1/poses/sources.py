@@ -38,7 +38,6 @@ class Sighting:
     """One body at one instant, as the source reports it.
 
     Args:
-        body: Name of the body.
         position: Position [m], shape (3,).
         orientation: Unit quaternion w, x, y, z, shape (4,).
         stamp: Time stamp on the source's own clock [s]; None: it gives none.

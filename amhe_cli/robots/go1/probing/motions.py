@@ -116,7 +116,6 @@ class ScoreHelm(Helm):
 
     Args:
         score: The command at each time.
-        path: Path of the box.
         half_length, half_width: Half the extent of the box along and across the push [m].
     """
 

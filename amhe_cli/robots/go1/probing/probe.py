@@ -32,8 +32,7 @@ from amhe_cli.robots.go1.probing.motions import (
     named_motion,
     probe_task,
 )
-from amhe_cli.robots.go1.recording import recorder_of
-from amhe_cli.robots.go1.run import Run, RunOptions, open_run, system_of
+from amhe_cli.robots.go1.run import Run, RunOptions, open_run, recorder_of, system_of
 from amhe_cli.robots.go1.tasks import Believed, find_task
 from amhe_cli.system.description.folders import find_system
 from amhe_cli.system.system import System
@@ -70,7 +69,6 @@ class PushProbe:
     """See `probe.Probe`.
 
     Args:
-        options: Options of the probe.
         robot: A robot to probe in place of a simulation.
 
     Raises:
@@ -246,7 +244,6 @@ def open_probe(options: ProbeOptions, robot: Go1OnLink | None = None) -> Probe:
     """The probe of a system: a walking robot behind its box, or actuators that are driven as they are.
 
     Args:
-        options: Options of the probe.
         robot: A robot to probe in place of a simulation.
 
     Raises:

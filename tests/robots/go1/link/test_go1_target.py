@@ -25,7 +25,7 @@ from amhe_cli.robots.go1.link.packets import pressing
 from amhe_cli.robots.go1.link.process import Clock
 from amhe_cli.robots.go1.link.target import Go1Target
 from amhe_cli.robots.go1.model import Box
-from amhe_cli.robots.go1.poses.feed import FeedOptions, PoseFeed
+from amhe_cli.robots.go1.poses.feed import PoseFeed
 from amhe_cli.robots.go1.poses.sources import PoseError
 from amhe_cli.robots.go1.settings import Go1Settings, deviations
 from tests.robots.go1.link.puppet import Puppet, damps
@@ -42,11 +42,11 @@ SETTINGS = QUICK.model_copy(update={"arm": "auto", "trips": PATIENT})
 @contextmanager
 def a_target(puppet: Puppet, settings: Go1Settings = SETTINGS, **stage) -> Iterator[tuple[Go1Target, Stage]]:
     clock, port = Clock(), free_port()
-    bodies = (settings.trunk, settings.box)
+    patient = settings.model_copy(update={"connect_time": 2.0})
     with Stage(port, **stage) as cameras:
         target = Go1Target(
             Link("127.0.0.1", puppet.port, settings, clock),
-            PoseFeed(FeedOptions("udp", "127.0.0.1", port, bodies, 2.0)), settings, clock, PERIOD, Box(),
+            PoseFeed("udp", "127.0.0.1", port, patient), settings, clock, PERIOD, Box(),
         )  # fmt: skip
         with target:
             yield target, cameras

@@ -34,7 +34,7 @@ from amhe_cli.robots.go1.link.process import (
 )
 from amhe_cli.robots.go1.link.target import Go1Target
 from amhe_cli.robots.go1.model import Box
-from amhe_cli.robots.go1.poses.feed import FeedOptions, PoseFeed
+from amhe_cli.robots.go1.poses.feed import PoseFeed
 from amhe_cli.robots.go1.settings import Go1Settings
 from amhe_cli.robots.go1.tasks import find_task
 from tests.robots.go1.poses.streaming import free_port
@@ -139,8 +139,8 @@ def test_a_step_that_fails_leaves_nothing_behind(
         monkeypatch.setattr(signal, "set_wakeup_fd", no_wakeup(processes))
     else:
         processes.allowed = ("poses", "sender").index(step)
-    options = FeedOptions("udp", "127.0.0.1", port, (SETTINGS.trunk, SETTINGS.box), 2.0)
-    link, feed = Link("127.0.0.1", free_port(), SETTINGS, CLOCK), PoseFeed(options)
+    link = Link("127.0.0.1", free_port(), SETTINGS, CLOCK)
+    feed = PoseFeed("udp", "127.0.0.1", port, SETTINGS)
     files = open_files()
     # its traceback keeps all that was made: no collector may help
     with pytest.raises((BlockingIOError, ValueError), match="no more processes|no signals") as raised:

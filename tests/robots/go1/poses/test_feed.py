@@ -19,8 +19,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from amhe_cli.robots.go1.link.process import Clock, ClockMap
-from amhe_cli.robots.go1.poses.feed import FeedOptions, PoseFeed
+from amhe_cli.robots.go1.poses.feed import PoseFeed
 from amhe_cli.robots.go1.poses.sources import PoseError, UdpPoses, pose_datagram, read_pose
+from amhe_cli.robots.go1.settings import Go1Settings
 
 CLOCK = Clock()
 BODIES = ("go1", "box")
@@ -57,7 +58,7 @@ def sending(port: int, *bodies: str) -> Iterator[None]:
 
 def test_poses_come_through_on_our_clock() -> None:
     port = free_port()
-    with sending(port, *BODIES), PoseFeed(FeedOptions("udp", "127.0.0.1", port, BODIES, 3.0)) as feed:
+    with sending(port, *BODIES), PoseFeed("udp", "127.0.0.1", port, Go1Settings(connect_time=3.0)) as feed:
         assert set(feed.first()) == set(BODIES)
         time.sleep(0.3)
         poses = feed.poses()
@@ -73,7 +74,7 @@ def test_a_pose_that_tells_no_time_and_stays_the_same_is_not_new() -> None:
     message = '{"body": "%s", "position": [1, 2, %s], "orientation": [1, 0, 0, 0]}'
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client,
-        PoseFeed(FeedOptions("udp", "127.0.0.1", port, BODIES, 20.0)) as feed,
+        PoseFeed("udp", "127.0.0.1", port, Go1Settings(connect_time=20.0)) as feed,
     ):
         client.connect(("127.0.0.1", port))
         end = time.monotonic() + 10.0
@@ -92,34 +93,34 @@ def test_a_pose_that_tells_no_time_and_stays_the_same_is_not_new() -> None:
 
 def test_a_body_that_never_comes_is_named_with_those_that_do() -> None:
     port = free_port()
-    options = FeedOptions("udp", "127.0.0.1", port, ("go1", "crate"), 0.5)
     with (
         sending(port, "go1", "box"),
-        PoseFeed(options) as feed,
+        PoseFeed("udp", "127.0.0.1", port, Go1Settings(box="crate", connect_time=0.5)) as feed,
         pytest.raises(PoseError, match="no pose of 'crate'.*it has: box"),
     ):
         feed.first()
 
 
 def test_silence_is_named() -> None:
-    options = FeedOptions("udp", "127.0.0.1", free_port(), BODIES, 0.3)
-    with PoseFeed(options) as feed, pytest.raises(PoseError, match="no body at all"):
+    feed = PoseFeed("udp", "127.0.0.1", free_port(), Go1Settings(connect_time=0.3))
+    with feed, pytest.raises(PoseError, match="no body at all"):
         feed.first()
 
 
 def test_a_source_that_blocks_for_ever_is_given_up() -> None:
     pytest.importorskip("motioncapture")
     begun = time.monotonic()
-    options = FeedOptions("motioncapture", "vicon:192.0.2.1", 0, BODIES, 0.5)
-    with PoseFeed(options) as feed, pytest.raises(PoseError, match="no pose of 'go1' and 'box'"):
+    feed = PoseFeed("motioncapture", "vicon:192.0.2.1", 0, Go1Settings(connect_time=0.5))
+    with feed, pytest.raises(PoseError, match="no pose of 'go1' and 'box'"):
         feed.first()
     assert time.monotonic() - begun < 15.0
 
 
 _PROGRAM = """
 import sys, time
-from amhe_cli.robots.go1.poses.feed import FeedOptions, PoseFeed
-with PoseFeed(FeedOptions("udp", "127.0.0.1", int(sys.argv[1]), ("go1", "box"), 20.0)) as feed:
+from amhe_cli.robots.go1.poses.feed import PoseFeed
+from amhe_cli.robots.go1.settings import Go1Settings
+with PoseFeed("udp", "127.0.0.1", int(sys.argv[1]), Go1Settings(connect_time=20.0)) as feed:
     while not feed._messages():
         time.sleep(0.01)
     print(feed._child.process.pid, flush=True)
@@ -156,7 +157,7 @@ def _lives(process: int) -> bool:
 def test_libmotioncapture_comes_through() -> None:
     pytest.importorskip("motioncapture")
     mocked = "mock:go1(0,0,0.3,1,0,0,0);box(0.6,0.1,0.15,0,0,0,1)"
-    with PoseFeed(FeedOptions("motioncapture", mocked, 0, BODIES, 3.0)) as feed:
+    with PoseFeed("motioncapture", mocked, 0, Go1Settings(connect_time=3.0)) as feed:
         seen = feed.first()
     np.testing.assert_allclose(seen["box"].position, [0.6, 0.1, 0.15], atol=1e-6)
     np.testing.assert_allclose(np.abs(seen["box"].orientation), [0, 0, 0, 1], atol=1e-6)
