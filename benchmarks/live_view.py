@@ -23,7 +23,7 @@ import numpy as np
 from amhe_cli.cli.session import Session
 from amhe_cli.cli.watching import watching_run
 from amhe_cli.engine.cpu import hush_mujoco
-from amhe_cli.live.loop import drive
+from amhe_cli.live.recorder import drive
 from amhe_cli.robots.go1.judge import History
 from amhe_cli.robots.go1.run import RunOptions, open_run, recorder_of
 

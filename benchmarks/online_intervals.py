@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from amhe_cli.core.statistics import Z90
-from amhe_cli.study.estimates import BEGUN, SETTLED, change_of, deviations
+from amhe_cli.study.goals import BEGUN, SETTLED, change_of, deviations
 from amhe_cli.study.results import CellResult
 from amhe_cli.study.store import open_store
 

@@ -200,7 +200,7 @@ def test_each_room_imports_only_what_it_may() -> None:
         ("from amhe_cli import control", {"control"}),
         ("import amhe_cli.robots.go1.plant as plant", {"robots/go1"}),
         ("def late():\n    from amhe_cli.robots.go1 import plant", {"robots/go1"}),
-        ("if TYPE_CHECKING:\n    from amhe_cli.live.loop import Loop", {"live"}),
+        ("if TYPE_CHECKING:\n    from amhe_cli.live.recorder import Loop", {"live"}),
         ("import amhe_cli\namhe_cli.run()", {"api"}),
         ("import amhe_cli as amhe\namhe.Estimator(system).update({})", {"api"}),
         ("from amhe_cli import run", {"api"}),

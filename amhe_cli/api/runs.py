@@ -123,7 +123,7 @@ def run(
         ConfigError: An argument is wrong.
         SimulationError: The simulation diverged.
     """
-    from amhe_cli.live.loop import drive
+    from amhe_cli.live.recorder import drive
     from amhe_cli.robots.go1.judge import History, run_record
     from amhe_cli.robots.go1.run import RunOptions, open_run, recorder_of
     from amhe_cli.robots.go1.tasks import LONGEST

@@ -123,7 +123,7 @@ def _driven(
 ) -> tuple[Ending, History, dict[str, Any]]:
     """Drive a run to its end, with its log and live page; how it ended, its history, and its link."""
     from amhe_cli.cli.progress import progress
-    from amhe_cli.live.loop import drive
+    from amhe_cli.live.recorder import drive
     from amhe_cli.robots.go1.judge import History
     from amhe_cli.robots.go1.run import recorder_of
 

@@ -6,22 +6,25 @@ Stamps are the run's own time, from zero: a seed gives the same log every time. 
 
 from __future__ import annotations
 
+import logging
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
+from typing import Protocol
 
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.errors import Ending, OperatorStopError
 from amhe_cli.core.log import Samples
 from amhe_cli.core.shown import TimeCurve
 from amhe_cli.core.signals import Signal
 from amhe_cli.estimation.online import messages as estimates
 from amhe_cli.estimation.online.horizon import Estimate
-from amhe_cli.live.episode import Cycle
+from amhe_cli.live.episode import Cycle, Episode
 from amhe_cli.logs import Fields, LogWriter, read_topic
-from amhe_cli.logs.messages.writer import OK, WARN, message_type, write_samples
+from amhe_cli.logs.messages.writer import ERROR, OK, WARN, message_type, write_samples
 
 PLAN, TIMING = "amhe_msgs/msg/Plan", "amhe_msgs/msg/Timing"
 #: Topics whose content does not depend on the seed alone.
@@ -263,3 +266,67 @@ def _believed(fields: Fields) -> dict[str, float]:
 def _places(fields: Fields, place: str) -> Iterator[str]:
     """The paths of a name in each element of an array."""
     return (path for i in range(len(fields)) if (path := place.format(i)) in fields)
+
+
+logger = logging.getLogger(__name__)
+
+#: Called after each cycle with it and its row of the history.
+OnCycle = Callable[[Cycle, dict[str, float]], None]
+
+
+class CycleHistory(Protocol):
+    """Numbers of every cycle, for the report."""
+
+    def add(self, cycle: Cycle) -> dict[str, float]:
+        """Take in a cycle; returns its numbers by name."""
+        ...
+
+    @property
+    def troubles(self) -> list[str]:
+        """What went wrong with the online estimator, in words."""
+        ...
+
+
+def drive(
+    episode: Episode,
+    recorder: Recorder,
+    history: CycleHistory,
+    stopped: Callable[[], bool],
+    on_cycle: OnCycle,
+) -> Ending:
+    """Run the episode, record every cycle, warn of the estimator's troubles, and return how it ended.
+
+    A trouble is a warning when it first occurs; one that came again is another in the end, with its count.
+
+    Args:
+        recorder: Recorder of the run, open; the caller closes it.
+        history: Takes in every cycle.
+        stopped: Called after each cycle; True: stop here.
+        on_cycle: Called after each cycle.
+    """
+    time = 0.0
+    warned: list[str] = []
+    try:
+        for cycle in episode.cycles():
+            time = cycle.time
+            recorder.write(cycle)
+            on_cycle(cycle, history.add(cycle))
+            for trouble in history.troubles[len(warned) :]:
+                logger.warning(trouble)
+                warned.append(trouble)
+            if stopped() and not cycle.over:
+                recorder.note(time, WARN, "interrupted")
+                return Ending(interrupted=True)
+    except OperatorStopError as stop:
+        recorder.note(time, WARN, str(stop))
+        return Ending(interrupted=True)
+    except Exception as error:
+        recorder.note(time, ERROR, str(error))
+        return Ending(error=error)
+    finally:
+        episode.belief.close()
+        for trouble in history.troubles:
+            if trouble not in warned:
+                logger.warning(trouble)
+    recorder.note(time, *episode.judge.verdict)
+    return Ending()

@@ -17,7 +17,7 @@ from amhe_cli.core.errors import ConfigError, OperatorStopError
 from amhe_cli.core.rotations import exp, multiply
 from amhe_cli.estimation.online.workers import Trouble
 from amhe_cli.live.episode import Cycle
-from amhe_cli.live.loop import drive
+from amhe_cli.live.recorder import drive
 from amhe_cli.robots.go1 import tasks
 from amhe_cli.robots.go1.behaviours.gait import box_friction
 from amhe_cli.robots.go1.judge import History

@@ -13,8 +13,7 @@ from amhe_cli.report.study.figures import drawn, one_leg_figure, over_time, sinc
 from amhe_cli.report.study.page import study_page
 from amhe_cli.robots.go1.tasks import TASKS
 from amhe_cli.study.cells import Cell, Setting, setting_of
-from amhe_cli.study.estimates import change_of
-from amhe_cli.study.goals import goals
+from amhe_cli.study.goals import change_of, goals
 from amhe_cli.study.store import Study
 from amhe_cli.study.summary import Groups, ablations
 from tests.study.cells_at_play import result

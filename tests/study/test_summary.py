@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from amhe_cli.study.cells import Cell, setting_of
-from amhe_cli.study.estimates import estimates
-from amhe_cli.study.goals import Goal, goals
+from amhe_cli.study.goals import Goal, estimates, goals
 from amhe_cli.study.results import CellResult, blank, result_of
 from amhe_cli.study.summary import (
     Group,

@@ -25,7 +25,7 @@ from amhe_cli.core.errors import printable
 from amhe_cli.core.shown import Floor, outline
 from amhe_cli.report.page import Section
 from amhe_cli.report.study.tables import words_of
-from amhe_cli.study.estimates import change_of
+from amhe_cli.study.goals import change_of
 from amhe_cli.study.results import TRACE_STEP, CellResult
 from amhe_cli.study.summary import Ablation, Group, Groups
 

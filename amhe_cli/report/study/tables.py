@@ -15,8 +15,18 @@ from amhe_cli.core.errors import printable
 from amhe_cli.core.files import plain
 from amhe_cli.report.numbers import MISSING
 from amhe_cli.report.tables import NUMBER, Table
-from amhe_cli.study.estimates import BEGUN, NEAR, RESOLVED, SETTLED, estimates
-from amhe_cli.study.goals import PAPER_MODES, TABLE_1, TABLE_1_TASK, TABLE_2, Goal
+from amhe_cli.study.goals import (
+    BEGUN,
+    NEAR,
+    PAPER_MODES,
+    RESOLVED,
+    SETTLED,
+    TABLE_1,
+    TABLE_1_TASK,
+    TABLE_2,
+    Goal,
+    estimates,
+)
 from amhe_cli.study.summary import MEASURES, RATES, Ablation, Group, Groups, Spread, difference
 
 #: Characters with a special meaning in LaTeX, and how they are written.

@@ -18,7 +18,7 @@ from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.design.design import ProbePlan, accuracy, criterion, ensemble, parts_of
 from amhe_cli.estimation.design.information import clips_of, information_at
 from amhe_cli.estimation.design.probe import ActuatorProbe, Probe, ProbeOptions, Say, believing
-from amhe_cli.live.loop import drive
+from amhe_cli.live.recorder import drive
 from amhe_cli.logs import read_log
 from amhe_cli.robots.go1.judge import History
 from amhe_cli.robots.go1.model import SYSTEM
