@@ -23,7 +23,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from amhe_cli.api.identify import identify
-from amhe_cli.core.belief import belief_text, held_by, read_belief
+from amhe_cli.core.belief import Belief, belief_text, held_by
 from amhe_cli.core.errors import AmheError, Ending
 from amhe_cli.core.statistics import Z90
 from amhe_cli.engine.cpu import hush_mujoco
@@ -104,7 +104,7 @@ def run_cell(out: Path, cell: Cell) -> str:
         return f"{path.stem}: left out"
     settings: dict[str, Any] = {}
     if known:
-        settings = {"parameters": held_by(read_belief(robot))}
+        settings = {"parameters": held_by(Belief.load(robot))}
     run = open_run(RunOptions(task, mode, seed=seed, plant=plant, settings=settings))
     history, ending = History(run.task), Ending()
     try:

@@ -12,7 +12,7 @@ import numpy as np
 
 from amhe_cli.api.arguments import checked
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.belief import Belief, completed, read_belief
+from amhe_cli.core.belief import Belief, completed
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.files import filling
 from amhe_cli.engine.cpu import hush_mujoco
@@ -74,7 +74,7 @@ def export(
         raise ConfigError(f"`to`: {one_of('kind', to, KINDS)}")
     if not (isinstance(count, int) and count > 0):
         raise ConfigError(f"`count`: {count!r} is no whole number of 1 or more")
-    read = belief if isinstance(belief, Belief) else read_belief(Path(belief))
+    read = belief if isinstance(belief, Belief) else Belief.load(belief)
     source = "the belief" if isinstance(belief, Belief) else str(belief)
     opened, given = system_of(read, source, system).starting_from(belief, belief_anyway=belief_anyway)
     assert given is not None, "a belief was given"

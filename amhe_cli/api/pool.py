@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from amhe_cli.api.export import system_of
-from amhe_cli.core.belief import Belief, belief_for, belief_of, read_belief
+from amhe_cli.core.belief import Belief, belief_for, belief_of
 from amhe_cli.core.errors import ConfigError, EstimationError
 from amhe_cli.estimation.core.agreement import Agreement, agreement, pairs, pooled
 from amhe_cli.system.provenance import now, versions
@@ -60,7 +60,7 @@ def pool(
     """
     if isinstance(beliefs, str | Path | Belief) or len(beliefs) < 2:
         raise ConfigError("`beliefs`: give two or more")
-    read = [one if isinstance(one, Belief) else read_belief(Path(one)) for one in beliefs]
+    read = [one if isinstance(one, Belief) else Belief.load(one) for one in beliefs]
     names = tuple(f"belief {i + 1}" if isinstance(one, Belief) else str(one) for i, one in enumerate(beliefs))
     _refuse_shared(names, read)
     opened = system_of(read[0], names[0], system)

@@ -79,11 +79,11 @@ def _result(session: Session, folder: Path, vendor: Path) -> None:
     """Print what a file says against what a result found."""
     from amhe_cli.audit.result import held_against
     from amhe_cli.cli.viewed import system_of_result
-    from amhe_cli.core.belief import read_belief
+    from amhe_cli.core.belief import Belief
     from amhe_cli.system.model.files import compiled, read_spec
     from amhe_cli.system.system import System
 
-    belief = read_belief(folder / "belief.yaml")
+    belief = Belief.load(folder / "belief.yaml")
     system = system_of_result(folder / "belief.yaml") or System.load(belief.system, warn=False)
     lines = held_against(system, belief, compiled(read_spec(vendor), repr(vendor.name)))
     _print(session, lines, session.record())

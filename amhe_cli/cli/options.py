@@ -207,9 +207,9 @@ def _asked(ctx: click.Context, param: click.Parameter, given: str | None) -> str
 def _held(ctx: click.Context, param: click.Parameter, path: Path | None) -> dict[str, float] | None:
     if path is None:
         return None
-    from amhe_cli.core.belief import held_by, read_belief
+    from amhe_cli.core.belief import Belief, held_by
 
-    known = held_by(read_belief(path))
+    known = held_by(Belief.load(path))
     return {f"{name}.{key}": value for name, keys in known.items() for key, value in keys.items()}
 
 

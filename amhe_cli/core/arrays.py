@@ -35,21 +35,12 @@ def to_host(array: AnyArray) -> FloatArray:
     return array.get() if hasattr(array, "get") else np.asarray(array)  # CuPy refuses np.asarray
 
 
-def sealed(values: ArrayLike) -> FloatArray:
-    """Return `values` as a read-only float64 array: freezing a dataclass does not freeze its arrays.
+def sealed(values: ArrayLike, kind: type[np.generic] = np.float64) -> NDArray[Any]:
+    """Return `values` as a read-only array of a kind: freezing a dataclass does not freeze its arrays.
 
     It is a copy, unless nobody can write to the array any more: whoever hands over an array and needs no
     copy makes it read-only first.
     """
-    return _sealed(values, np.float64)
-
-
-def sealed_mask(values: ArrayLike) -> BoolArray:
-    """Return `values` as a read-only boolean array; see `sealed`."""
-    return _sealed(values, np.bool_)
-
-
-def _sealed(values: ArrayLike, kind: type[np.generic]) -> NDArray[Any]:
     if isinstance(values, np.ndarray) and values.dtype == kind and not _writeable(values):
         return values
     copy = np.array(values, dtype=kind)

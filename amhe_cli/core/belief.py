@@ -13,12 +13,12 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from amhe_cli.core.arrays import FloatArray, sealed
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.files import write_whole
-from amhe_cli.core.mistakes import mistakes
+from amhe_cli.core.mistakes import validated
 from amhe_cli.core.parameters import Described, phi_of, theta_of
 from amhe_cli.core.shown import Displayed
 from amhe_cli.core.statistics import Z90
@@ -89,7 +89,7 @@ class Belief(Displayed):
             ConfigError: The file holds no belief, or none that suits the system; one line for each mistake,
                 `file:line:column: what, what would be valid`.
         """
-        return read_belief(Path(path), system, belief_anyway)
+        return _read(Path(path), system, belief_anyway)
 
     def save(self, path: str | Path) -> None:
         """Write a `belief.yaml`, whole or not at all."""
@@ -289,26 +289,10 @@ def _entry(belief: Belief, i: int) -> dict[str, object]:
     }
 
 
-def read_belief(path: Path, system: Described | None = None, belief_anyway: bool = False) -> Belief:
-    """Read a belief; where a system is given, as `belief_for` does.
-
-    Args:
-        path: The file.
-        system: The system that the belief must be about; None: any.
-        belief_anyway: Take a belief about another model too, and only warn of what has changed.
-
-    Raises:
-        ConfigError: The file is no belief, not about this system, or of other parameters; every mistake
-            in one go, as `file:line:column: what, what would be valid`.
-    """
+def _read(path: Path, system: Described | None, belief_anyway: bool) -> Belief:
+    """See `Belief.load`."""
     file = YamlFile(path)
-    try:
-        content = _File.model_validate(file.data)
-    except ValidationError as error:
-        for mistake in mistakes(error, _File, file.data, {}):
-            file.problem(*mistake)
-        file.raise_problems()
-        raise
+    content = validated(file, _File)
     names = [entry.name for entry in content.parameters]
     for i, name in enumerate(names):
         if names.count(name) > 1:
@@ -364,7 +348,7 @@ def belief_for(system: Described, given: Belief | str | Path, belief_anyway: boo
         ConfigError: The belief does not suit the system.
     """
     if not isinstance(given, Belief):
-        return read_belief(Path(given), system, belief_anyway)
+        return _read(Path(given), system, belief_anyway)
     for _, text in _problems(given, system, belief_anyway):
         raise ConfigError(text)
     return _suited(given, system)

@@ -231,7 +231,8 @@ def merged(parts: Sequence[Samples]) -> Samples:
     """All samples of several parts, each quantity in the order of time."""
     if len(parts) == 1:
         return parts[0]
-    return {key: _joined([part[key] for part in parts if key in part]) for key in _keys(parts)}
+    keys = dict.fromkeys(key for part in parts for key in part)
+    return {key: _joined([part[key] for part in parts if key in part]) for key in keys}
 
 
 def since(samples: Samples, time: float) -> Samples:
@@ -262,10 +263,6 @@ class Thinner:
         self._reached[key] = float(reached[-1])
         rows = np.flatnonzero(number > reached[:-1])
         return times[rows], values[rows]
-
-
-def _keys(parts: Sequence[Samples]) -> list[str]:
-    return list(dict.fromkeys(key for part in parts for key in part))
 
 
 def _joined(series: list[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:

@@ -5,18 +5,36 @@ from __future__ import annotations
 import types
 from collections.abc import Iterator, Mapping
 from itertools import islice
-from typing import Annotated, Any, Union, get_args, get_origin
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
 from amhe_cli.core.errors import one_of
-from amhe_cli.core.yaml_file import Place, at_place
+from amhe_cli.core.yaml_file import Place, YamlFile, at_place
 
 #: Lengths of the starts of mappings and lists that are looked at where there are more mistakes than the last:
 #: each costs a kilobyte.
 _STARTS = 200, 2_000
 #: Mistakes of a whole collection, which its start may have without it.
 _OF_ALL = ("missing", "value_error", "too_short")
+
+
+M = TypeVar("M", bound=BaseModel)
+
+
+def validated(file: YamlFile, model: type[M], examples: Mapping[str, str] | None = None) -> M:
+    """The content of a file as a model; for `examples` see `mistakes`.
+
+    Raises:
+        ConfigError: It has another shape; one line for each mistake.
+    """
+    try:
+        return model.model_validate(file.data)
+    except ValidationError as error:
+        for mistake in mistakes(error, model, file.data, examples or {}):
+            file.problem(*mistake)
+        file.raise_problems()
+        raise
 
 
 def mistakes(

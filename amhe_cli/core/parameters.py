@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from amhe_cli.core.arrays import FloatArray, sealed, sealed_mask
+from amhe_cli.core.arrays import FloatArray, sealed
 
 Rows = tuple[tuple[float, ...], ...]
 #: Factor on the systematic variance that is added to a prior where that must not count.
@@ -137,7 +137,7 @@ class ParameterSpace:
     @cached_property
     def log(self) -> np.ndarray:
         """Which columns are log-scaled, shape (d,)."""
-        return sealed_mask([p.log for p in self.parameters])
+        return sealed([p.log for p in self.parameters], np.bool_)
 
     @cached_property
     def prior_sd(self) -> FloatArray:

@@ -88,17 +88,6 @@ def of_rpy(angles: FloatArray) -> FloatArray:
     return multiply(yaw, multiply(pitch, roll))
 
 
-def to_rpy(q: FloatArray) -> FloatArray:
-    """Roll, pitch and yaw [rad], shape (..., 3), of unit quaternions (..., 4): the inverse of `of_rpy`."""
-    w, x, y, z = (q[..., i] for i in range(4))
-    pitch = np.arcsin(np.clip(2.0 * (w * y - x * z), -1.0, 1.0))
-    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    level = np.abs(np.sin(pitch)) < 1.0 - 1e-12  # else only roll and yaw together are known
-    together = np.arctan2(2.0 * (w * z - x * y), w * w - x * x + y * y - z * z)
-    yaw = np.where(level, yaw_of(q), together)
-    return np.stack((np.where(level, roll, 0.0), pitch, yaw), axis=-1)
-
-
 def difference(a: FloatArray, b: FloatArray) -> FloatArray:
     """Rotation vector [rad], in b's frame, that takes b to a: log(b^-1 a), shape (..., 3)."""
     return log(multiply(conjugate(b), a))

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray, sealed, sealed_mask
+from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
 
 #: Quantities a signal can carry, with the unit of their values once read.
 QUANTITIES: Mapping[str, str] = {
@@ -163,8 +163,8 @@ class Series:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", sealed(self.values))
-        object.__setattr__(self, "valid", sealed_mask(self.valid))
-        object.__setattr__(self, "sampled", sealed_mask(self.sampled))
+        object.__setattr__(self, "valid", sealed(self.valid, np.bool_))
+        object.__setattr__(self, "sampled", sealed(self.sampled, np.bool_))
 
 
 #: Unit -> factor to SI, in any case of letters.

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from amhe_cli.core.each_log import mistakes_of
 from amhe_cli.core.errors import LogError, one_of
-from amhe_cli.core.mistakes import mistakes
+from amhe_cli.core.mistakes import validated
 from amhe_cli.core.signals import Measured
 from amhe_cli.core.yaml_file import Place, YamlFile
 from amhe_cli.logs.containers.lerobot import episode_paths
@@ -86,13 +86,7 @@ def members(path: Path, system: Measured | None = None) -> list[Member]:
     if not is_data_set(path):
         return [Member(one) for one in episode_paths(path)]
     file = YamlFile(path)
-    try:
-        content = _File.model_validate(file.data)
-    except ValidationError as error:
-        for mistake in mistakes(error, _File, file.data, _EXAMPLES):
-            file.problem(*mistake)
-        file.raise_problems()
-        raise
+    content = validated(file, _File, _EXAMPLES)
     for number, entry in enumerate(content.logs):
         for key, text in _mistakes(path.parent, entry, system):
             file.problem(("logs", number, *key), text)

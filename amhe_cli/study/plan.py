@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from amhe_cli.core.belief import read_belief
+from amhe_cli.core.belief import Belief
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.yaml_file import nested, scalar
 from amhe_cli.robots.go1.model import SYSTEM
@@ -225,5 +225,5 @@ def _belief_texts(files: Mapping[str, Path]) -> dict[str, str]:
     system = system_with({})
     for task, path in files.items():
         find_task(task)
-        read_belief(path, system, belief_anyway=True)
+        Belief.load(path, system, belief_anyway=True)
     return {task: path.read_text(encoding="utf-8") for task, path in files.items()}

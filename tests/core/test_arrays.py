@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from amhe_cli.core.arrays import sealed, sealed_mask
+from amhe_cli.core.arrays import sealed
 
 
 def test_what_can_still_be_written_to_is_copied() -> None:
@@ -18,7 +18,7 @@ def test_what_can_still_be_written_to_is_copied() -> None:
         assert found.dtype == np.float64
         with pytest.raises(ValueError, match="read-only"):
             found[...] = 0.0
-    assert sealed_mask(values > 1.0).dtype == np.bool_
+    assert sealed(values > 1.0, np.bool_).dtype == np.bool_
 
 
 def test_what_was_handed_over_is_not_copied() -> None:
@@ -26,6 +26,6 @@ def test_what_was_handed_over_is_not_copied() -> None:
     for one in (values, mask):
         one.setflags(write=False)
     assert sealed(values) is values
-    assert sealed_mask(mask) is mask
+    assert sealed(mask, np.bool_) is mask
     assert np.shares_memory(sealed(values[2:]), values)
     assert sealed(sealed([1.0, 2.0])).base is None

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from amhe_cli.core.belief import Belief, belief_for, belief_text, read_belief
+from amhe_cli.core.belief import Belief, belief_for, belief_text
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.parameters import Parameter, ParameterSpace
 from tests.report.synthetic import NAMES, identification
@@ -29,7 +29,7 @@ def file(tmp_path: Path) -> Path:
 
 
 def test_a_belief_survives_its_file(file: Path) -> None:
-    belief, read = identification().belief, read_belief(file, SYSTEM)
+    belief, read = identification().belief, Belief.load(file, SYSTEM)
     assert (read.system, read.names, read.units, read.log) == (
         belief.system,
         belief.names,
@@ -40,14 +40,14 @@ def test_a_belief_survives_its_file(file: Path) -> None:
     np.testing.assert_array_equal(read.covariance, belief.covariance)
     assert read.systematic is None
     replace(belief, systematic=0.3 * belief.covariance).save(file)
-    np.testing.assert_array_equal(read_belief(file, SYSTEM).systematic, 0.3 * belief.covariance)
+    np.testing.assert_array_equal(Belief.load(file, SYSTEM).systematic, 0.3 * belief.covariance)
     error = 0.5 * np.linalg.cholesky(belief.covariance)[:, 0]
     whole = replace(belief, systematic=np.outer(error, error), owed={"the base's tilt": error})
     whole.save(file)
-    np.testing.assert_array_equal(read_belief(file, SYSTEM).owed["the base's tilt"], error)
+    np.testing.assert_array_equal(Belief.load(file, SYSTEM).owed["the base's tilt"], error)
     replace(whole, owed={"the base's tilt": 1.1 * error}).save(file)
     with pytest.raises(ConfigError, match="owed must have errors"):
-        read_belief(file, SYSTEM)
+        Belief.load(file, SYSTEM)
 
 
 def test_the_numbers_for_people_are_in_the_parameters_own_unit(file: Path) -> None:
@@ -90,14 +90,14 @@ def changed(file: Path, **changes: object) -> Path:
 )
 def test_a_mistake_is_named_with_its_place(file: Path, changes, message) -> None:
     with pytest.raises(ConfigError) as error:
-        read_belief(changed(file, **changes), SYSTEM)
+        Belief.load(changed(file, **changes), SYSTEM)
     assert message in str(error.value)
     assert str(error.value).startswith(f"{file}:")
 
 
 @pytest.mark.parametrize("estimate", [1e-4, 10.0, float(np.exp(np.log(10.0)))])
 def test_an_estimate_may_have_ended_on_a_bound(file: Path, estimate: float) -> None:
-    assert read_belief(changed(file, parameters__0__estimate=estimate), SYSTEM).estimate[0] == estimate
+    assert Belief.load(changed(file, parameters__0__estimate=estimate), SYSTEM).estimate[0] == estimate
 
 
 @pytest.mark.parametrize("text", ["", "[1, 2", "!!python/object/apply:os.getcwd []", "just words", "\x00"])
@@ -105,7 +105,7 @@ def test_what_is_no_belief_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "belief.yaml"
     path.write_text(text)
     with pytest.raises(ConfigError):
-        read_belief(path, SYSTEM)
+        Belief.load(path, SYSTEM)
 
 
 def test_a_belief_can_be_read_without_its_system(file: Path) -> None:

@@ -51,13 +51,3 @@ def test_mean_of_a_turn_and_its_inverse_about_it_is_it(middle, off):
         assert rotations.difference(rotations.mean(signed), rotations.exp(middle)) == pytest.approx(
             0.0, abs=1e-9
         )
-
-
-@given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.sampled_from((-0.5, 0.5)))
-def test_roll_pitch_and_yaw_do_not_see_the_sign_where_only_two_together_are_known(roll, yaw, half):
-    turn = rotations.of_rpy(np.array([roll, np.pi * half, yaw]))
-    angles = rotations.to_rpy(turn)
-    assert angles == pytest.approx(rotations.to_rpy(-turn))
-    assert np.abs(angles).max() <= np.pi
-    away = rotations.difference(rotations.of_rpy(angles), turn)
-    assert away == pytest.approx(np.zeros(3), abs=1e-6)
