@@ -321,7 +321,7 @@ def _cure(system: System, found: Identification, evidence: Findings, claim: Clai
     """What would tell a number."""
     if found.unexplained:
         return "no value explains these logs, and none can be judged by them"
-    row, of = system.space.names.index(claim.parameter), claim.number.of
+    row = system.space.names.index(claim.parameter)
     idle = any(reason.kind == "idle" for reason in found.parameters[row].reasons)
     if claim.number.kind == "force_limit" and idle:
         return "no motion reaches it: command faster steps"
@@ -331,12 +331,12 @@ def _cure(system: System, found: Identification, evidence: Findings, claim: Clai
     together[row] = 0.0
     if together.max() > _TOGETHER:
         return f"known only together with {system.space.names[int(together.argmax())]}: measure either"
-    return _MORE[claim.number.element].format(of=of)
+    return _MORE[claim.number.element]
 
 
 #: Kind of element -> what tells its numbers.
 _MORE = {
-    "body": "swing {of} alone, slowly and fast, in several postures",
-    "joint": "move {of} alone, slowly both ways and fast with sharp turns",
-    "actuator": "log the torques of {of}, or hang a known load on it",
+    "body": "swing it alone, slowly and fast, in several postures",
+    "joint": "move it alone, slowly both ways and fast with sharp turns",
+    "actuator": "log its torques, or hang a known load on it",
 }

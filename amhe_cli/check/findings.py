@@ -9,6 +9,30 @@ from dataclasses import dataclass
 _EACH, _NAMED = 3, 6
 
 
+#: Kind of a doubt, what it is about, the doubt, and its size: a finding is one of a size above 1.
+Doubt = tuple[str, str, str, float]
+#: Kind -> what would cure it.
+_CURES = {
+    "light": "weigh it, or take the mass of CAD",
+    "dense": "look for a mass in grams, or a wrong scale of the mesh",
+    "thin": "look for a mass in tons or a mesh in millimetres",
+    "centre": "look for a sign, or for millimetres taken for metres",
+    "inertia": "take it from CAD, about the centre of mass and in kg m^2; g mm^2 are 1e-9 of these",
+    "twins": "a robot is mostly built alike on both sides: which of the two is right?",
+    "drive": "no drive is without: `amhe init --drive` takes them from the library, `identify` from a log",
+    "idle": "give it a gain, or delete it",
+    "stiff": "is the gain in counts, or measured (`amhe drives`)? Is the armature there?",
+    "twice": "delete one of them",
+    "weak": "is the limit that of the motor, before the gear? Is a mass too large?",
+    "range": "look for degrees taken for radians, or for another zero",
+    "overlap": "exclude the pair, or mend the shapes or the home pose",
+    "still": "move it: `amhe probe` writes an excitation",
+    "gaps": "`amhe inspect` says when: record without silences, or loosen `logs.max_gap`",
+    "saturated": "then its gain cannot be told: command smaller steps, or is the gain wrong?",
+    "contact": "record without contact, or exclude the pair if they do not touch on the robot",
+}
+
+
 @dataclass(frozen=True, slots=True)
 class Finding:
     """One doubt.
@@ -26,6 +50,11 @@ class Finding:
     what: str
     size: float
     cure: str
+
+    @classmethod
+    def of(cls, doubt: Doubt) -> Finding:
+        """A doubt, with the cure of its kind."""
+        return cls(*doubt, cure=_CURES[doubt[0]])
 
 
 def worst_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:

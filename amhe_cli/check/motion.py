@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from amhe_cli.check.findings import Finding
+from amhe_cli.check.findings import Doubt, Finding
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import LogError
 from amhe_cli.core.log import Log
@@ -111,7 +111,7 @@ def _bands(system: System, log: Log) -> FloatArray:
         return np.zeros(system.model.nv)
 
 
-def log_findings(system: System, logs: Sequence[Log], moved: Sequence[JointMotion]) -> Iterator[Finding]:
+def log_findings(system: System, logs: Sequence[Log], moved: Sequence[JointMotion]) -> list[Finding]:
     """What is wrong with a recording: what stands still, gaps, drives that give all, contacts.
 
     Args:
@@ -119,51 +119,42 @@ def log_findings(system: System, logs: Sequence[Log], moved: Sequence[JointMotio
         logs: The logs.
         moved: Their motion.
     """
+    return [Finding.of(doubt) for doubt in _doubts(system, logs, moved)]
+
+
+def _doubts(system: System, logs: Sequence[Log], moved: Sequence[JointMotion]) -> Iterator[Doubt]:
     for one in moved:
         if one.high - one.low <= _STILL * one.noise:
-            yield Finding(
-                "still", one.joint, "it stands still in these logs", 1.0,
-                "move it: `amhe probe` writes an excitation",
-            )  # fmt: skip
+            yield "still", one.joint, "it stands still in these logs", 1.0
     for log in logs:
         for key in system.keys:
             if (lost := float(1.0 - log[key].valid.mean())) > _OFTEN:
-                yield Finding(
-                    "gaps", key, f"no value in {lost:.0%} of {log.source}", 1.0 + lost,
-                    "`amhe inspect` says when: record without silences, or loosen `logs.max_gap`",
-                )  # fmt: skip
+                yield "gaps", key, f"no value in {lost:.0%} of {log.source}", 1.0 + lost
         if not (system.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any():
             yield from _along(system, log)
 
 
-def _along(system: System, log: Log) -> Iterator[Finding]:
+def _along(system: System, log: Log) -> Iterator[Doubt]:
     """Drives at their limits of force, and contacts, of a robot that stands on nothing."""
     try:
         states = states_along(system, log)
     except LogError:
         return
-    model, data, touching = system.model, mujoco.MjData(system.model), Counter[str]()
+    model, data, often = system.model, mujoco.MjData(system.model), Counter[tuple[str, str]]()
     given = forces_along(model, states.qpos, states.qvel, states.qacc, states.inputs, states.input_spec).by
-    for row in np.flatnonzero(model.actuator_forcelimited):
+    for row in map(int, np.flatnonzero(model.actuator_forcelimited)):
         limit = np.abs(model.actuator_forcerange[row]).max() * abs(float(model.actuator_gear[row, 0]))
-        share = float((np.abs(given[:, row]).max(axis=1) >= _ALL * limit).mean())
-        if limit > 0.0 and share > _OFTEN:
-            yield Finding(
-                "saturated", model.actuator(int(row)).name, f"it gives all its force {share:.0%} of the time",
-                1.0 + share, "then its gain cannot be told: command smaller steps, or is the gain wrong?",
-            )  # fmt: skip
+        full = limit > 0.0 and np.abs(given[:, row]).max(axis=1) >= _ALL * limit
+        often["saturated", model.actuator(row).name] = int(np.sum(full))
     for qpos in states.qpos:
         data.qpos[:] = qpos
         mujoco.mj_fwdPosition(model, data)
-        touching.update(
-            {_pair(model, contact) for contact in data.contact[: data.ncon] if contact.dist < 0.0}
-        )
-    for pair, count in touching.items():
+        touching = {_pair(model, one) for one in data.contact[: data.ncon] if one.dist < 0.0}
+        often.update(("contact", pair) for pair in touching)
+    says = {"saturated": "it gives all its force", "contact": "they touch"}
+    for (kind, where), count in often.items():
         if (share := count / len(states.qpos)) > _OFTEN:
-            yield Finding(
-                "contact", pair, f"they touch {share:.0%} of the time", 1.0 + share,
-                "record without contact, or exclude the pair if they do not touch on the robot",
-            )  # fmt: skip
+            yield kind, where, f"{says[kind]} {share:.0%} of the time", 1.0 + share
 
 
 def _pair(model: mujoco.MjModel, contact: mujoco.MjContact) -> str:
