@@ -134,7 +134,8 @@ def _fill(
     """Values (T, k) on the grid, and where they may be believed (T,)."""
     if times.size == 0:
         return np.zeros((grid.size, values.shape[1])), np.zeros(grid.size, dtype=bool)
-    slack = _slack(grid)
+    # rounding of stamps: 1 us, or a thousandth of a step if that is less
+    slack = min(1e-6, 1e-3 * float(grid[1] - grid[0])) if grid.size > 1 else 1e-6
     first = int(np.searchsorted(times, grid[0] - slack)) if grid.size else 0
     rows = slice(first, first + grid.size)
     if times[rows].size == grid.size and (np.abs(times[rows] - grid) <= slack).all():
@@ -170,11 +171,6 @@ def _nearest(times: FloatArray, grid: FloatArray) -> BoolArray:
     steps = steps[(steps >= 0) & (steps < grid.size)].astype(np.int64)
     marks[steps] = True
     return marks
-
-
-def _slack(grid: FloatArray) -> float:
-    """Rounding of stamps [s] that does not count: 1 us, or a thousandth of a step if that is less."""
-    return min(1e-6, 1e-3 * float(grid[1] - grid[0])) if grid.size > 1 else 1e-6
 
 
 #: Neighbours to each side, at least.

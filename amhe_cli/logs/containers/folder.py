@@ -227,53 +227,41 @@ def _unpacked(batch: Batch, unfolder: Unfolder) -> Iterator[Batch]:
             begin, payloads, size = i, [], 0
 
 
+_SEEN = "amhe reads numbers: give the log that was recorded with it"
 _AS_TABLE = "save its numbers as a table: np.savez('run.npz', time=t, q=q)"
-_VIDEO = "a video; amhe reads numbers: give the log that was recorded with it"
-_PICTURE = "a picture; amhe reads numbers: give the log that was recorded with it"
-_UTF16 = "text in UTF-16; save it as UTF-8: iconv -f UTF-16 -t UTF-8 {name} > run.csv"
-_PICKLE = f"a Python pickle, which is not opened, because it can run any code; {_AS_TABLE}"
-_RERUN = "a rerun recording (.rrd), which is not read; export it to CSV or parquet by rerun's dataframe API"
-_MATLAB = "a MATLAB file; in MATLAB: writetable(table(time, q), 'run.csv')"
-#: First bytes -> what it is, and what to do; {name} is the file's name.
-_STARTS: Mapping[bytes, str] = {
-    b"\x1f\x8b": "packed with gzip; unpack it: gunzip -k {name}",
-    b"\xfd7zXZ\x00": "packed with xz; unpack it: unxz -k {name}",
-    b"7z\xbc\xaf\x27\x1c": "a 7z archive; unpack it: 7z x {name}",
-    b"Rar!": "a rar archive; unpack it: unrar x {name}",
-    b"\x04\x22\x4d\x18": "packed with lz4; unpack it: lz4 -dk {name}",
-    b"\xff\xfe": _UTF16,
-    b"\xfe\xff": _UTF16,
-    b"%PDF": "a PDF document; give the log itself",
-    b"\x89PNG": _PICTURE,
-    b"\xff\xd8\xff": _PICTURE,
-    b"GIF8": _PICTURE,
-    b"\x1aE\xdf\xa3": _VIDEO,
-    b"\x7fELF": "a program (ELF); give the log that it writes",
-    b"MZ\x90\x00": "a Windows program; give the log that it writes",
-    b"\x80\x02": _PICKLE,
-    b"\x80\x03": _PICKLE,
-    b"\x80\x04": _PICKLE,
-    b"\x80\x05": _PICKLE,
-    b"RRF0": _RERUN,
-    b"RRF1": _RERUN,
-    b"RRF2": _RERUN,
-    b"\xa3\x95": "an ArduPilot log (.bin), which is not read; export a message type as CSV with pymavlink: "
-    "mavlogdump.py --format csv --types IMU {name} > imu.csv",
-    b"FMT, 128": "an ArduPilot log as text, which is not read; give the columns of one message type as CSV",
-    b"\xed\xa1\xda\x01": "an LCM log, which is not read; convert it to MCAP, or save its numbers as CSV",
-    b"MATLAB 5.0 MAT": _MATLAB,
-    b"MATLAB 7.3 MAT": _MATLAB,
-    b"version https://git-lfs": "a pointer of Git LFS, not the file itself; fetch it: git lfs pull",
-    b"<!DOCTYPE": "a web page, perhaps in place of a download that needs a login; fetch the file again",
-    b"<html": "a web page, perhaps in place of a download that needs a login; fetch the file again",
-    b"<mujoco": "a MuJoCo model, no log; for a system from model and log: amhe init {name} LOG",
-    b"<robot": "a URDF model, no log; for a system from model and log: amhe init {name} LOG",
-    b"<?xml": "an XML file, no log; for a system from a model and a log: amhe init MODEL LOG",
-    b"\x93NUMPY": f"one numpy array; {_AS_TABLE}",
-    b"ARROW1": "a feather (Arrow) file; with pandas: pandas.read_feather(PATH).to_parquet('run.parquet')",
-    b"{": "JSON text, which is read in an MCAP file only; save its numbers as CSV, or as .npz",
-    b"[": "JSON text, which is read in an MCAP file only; save its numbers as CSV, or as .npz",
-    b"%YAML": "a YAML file, no log",
+#: What is no log, and what to do, {name} being the file's name -> its first bytes.
+_FOREIGN: Mapping[str, tuple[bytes, ...]] = {
+    "packed with gzip; unpack it: gunzip -k {name}": (b"\x1f\x8b",),
+    "packed with xz; unpack it: unxz -k {name}": (b"\xfd7zXZ\x00",),
+    "packed with lz4; unpack it: lz4 -dk {name}": (b"\x04\x22\x4d\x18",),
+    "text in UTF-16; save it as UTF-8: iconv -f UTF-16 -t UTF-8 {name} > run.csv": (b"\xff\xfe", b"\xfe\xff"),
+    f"a picture; {_SEEN}": (b"\x89PNG", b"\xff\xd8\xff"),
+    f"a video; {_SEEN}": (b"\x1aE\xdf\xa3",),
+    f"a Python pickle, which is not opened, because it can run any code; {_AS_TABLE}": (
+        b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05",
+    ),
+    "a rerun recording (.rrd), which is not read; export it to CSV or parquet by rerun's dataframe API": (
+        b"RRF0", b"RRF1", b"RRF2",
+    ),
+    "an ArduPilot log (.bin), which is not read; export a message type as CSV with pymavlink: "
+    "mavlogdump.py --format csv --types IMU {name} > imu.csv": (b"\xa3\x95",),
+    "an ArduPilot log as text, which is not read; give the columns of one message type as CSV": (
+        b"FMT, 128",
+    ),
+    "an LCM log, which is not read; convert it to MCAP, or save its numbers as CSV": (b"\xed\xa1\xda\x01",),
+    "a MATLAB file; in MATLAB: writetable(table(time, q), 'run.csv')": (
+        b"MATLAB 5.0 MAT", b"MATLAB 7.3 MAT",
+    ),
+    "a pointer of Git LFS, not the file itself; fetch it: git lfs pull": (b"version https://git-lfs",),
+    "a web page, perhaps in place of a download that needs a login; fetch the file again": (
+        b"<!DOCTYPE", b"<html",
+    ),
+    "a MuJoCo model, no log; for a system from model and log: amhe init {name} LOG": (b"<mujoco",),
+    "a URDF model, no log; for a system from model and log: amhe init {name} LOG": (b"<robot",),
+    "an XML file, no log; for a system from a model and a log: amhe init MODEL LOG": (b"<?xml",),
+    f"one numpy array; {_AS_TABLE}": (b"\x93NUMPY",),
+    "a feather (Arrow) file; with pandas: pandas.read_feather(PATH).to_parquet('run.parquet')": (b"ARROW1",),
+    "JSON text, which is read in an MCAP file only; save its numbers as CSV, or as .npz": (b"{", b"["),
 }  # fmt: skip
 
 
@@ -285,7 +273,7 @@ def foreign(path: Path, head: bytes) -> str | None:
         head: Its first 512 bytes, or more.
     """
     if head[4:8] == b"ftyp" or (head.startswith(b"RIFF") and head[8:12] == b"AVI "):
-        return _VIDEO
+        return f"a video; {_SEEN}"
     if head[:3] == b"BZh" and head[4:10] == b"1AY&SY":
         return f"packed with bzip2; unpack it: bunzip2 -k {path.name}"
     if head[257:262] == b"ustar":
@@ -295,7 +283,7 @@ def foreign(path: Path, head: bytes) -> str | None:
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
     if text.startswith(b"[") and b"\n" in text and b'"' not in text and b"{" not in text:
         return None  # '[deg]' may begin the header of a table
-    found = next((about for start, about in _STARTS.items() if text.startswith(start)), None)
+    found = next((about for about, starts in _FOREIGN.items() if text.startswith(starts)), None)
     return found and found.replace("{name}", path.name)
 
 

@@ -31,11 +31,6 @@ _USUAL = {
 }
 
 
-def _major(version: Any) -> int:
-    """2 of 'v2.1'."""
-    return int(re.findall(r"\d+", str(version))[0])
-
-
 class _Feature(BaseModel):
     dtype: str = ""
     names: Any = None
@@ -53,7 +48,9 @@ class _Feature(BaseModel):
 class _Info(BaseModel):
     """A dataset as its meta/info.json describes it."""
 
-    codebase_version: Annotated[int, BeforeValidator(_major)]
+    codebase_version: Annotated[
+        int, BeforeValidator(lambda v: int(re.findall(r"\d+", str(v))[0]))
+    ]  # 2 of v2.1
     total_episodes: Annotated[int, Field(lt=1_000_000)]
     features: dict[str, _Feature]
     chunks_size: int = 1000

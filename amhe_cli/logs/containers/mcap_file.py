@@ -59,9 +59,9 @@ def unfolded(data: mmap | bytes, chunk: Piece, unfolder: Unfolder) -> bytes:
     """
     if chunk.stop > len(data):
         raise ValueError("the file ends within it")
-    head = _head(data, chunk)
-    records = unfolder.unfold(head.kind, data[head.at : head.stop], head.size)
-    if head.crc and zlib.crc32(records) != head.crc:
+    kind, size, crc, content = _head(data, chunk)
+    records = unfolder.unfold(kind, data[content], size)
+    if crc and zlib.crc32(records) != crc:
         raise ValueError("its checksum is wrong")
     return records
 
@@ -96,17 +96,8 @@ def is_chain(records: NDArray[np.uint8], starts: NDArray[np.uint64]) -> bool:
     return bool(sound.all())
 
 
-class _Head(NamedTuple):
-    """Header of a chunk: compression, uncompressed size, checksum, first and last stamp."""
-
-    kind: str
-    size: int
-    crc: int
-    at: int
-    stop: int
-
-
-def _head(data: mmap | bytes, chunk: Piece) -> _Head:
+def _head(data: mmap | bytes, chunk: Piece) -> tuple[str, int, int, slice]:
+    """Compression of a chunk, size and checksum once unfolded, and where its content lies."""
     start, stop = chunk.start, chunk.stop
     opcode, length = RECORD.unpack_from(data, start - 9)
     if opcode != Opcode.CHUNK or length != stop - start or length < _CHUNK.size + 12:
@@ -121,7 +112,7 @@ def _head(data: mmap | bytes, chunk: Piece) -> _Head:
     (packed,) = struct.unpack_from("<Q", data, at - 8)
     if at + packed > stop:
         raise ValueError("its header is damaged")
-    return _Head(name, size, crc, at, at + packed)
+    return name, size, crc, slice(at, at + packed)
 
 
 def span_ns(data: mmap, chunk: Piece) -> tuple[int, int] | None:
