@@ -152,7 +152,7 @@ def cdr_log(path: Path, definition: str, payloads: list[bytes], channels: int = 
 def test_definitions_that_multiply_without_using_a_byte(tmp_path: Path) -> None:
     levels = "".join(f"\n{'=' * 80}\nMSG: a/L{i}\nL{i + 1}[100] x\n" for i in range(5))
     definition = f"L0[100] x\n{levels}{'=' * 80}\nMSG: a/L5\nfloat64[0] s\n"
-    found = survey(cdr_log(tmp_path / "log", definition, [bytes(200 + i) for i in range(300)]))
+    found = survey(cdr_log(tmp_path / "log", definition, [bytes(200 + i) for i in range(60)]))
     assert "its definition has no end" in damage(found)
 
 
@@ -170,8 +170,6 @@ def test_messages_that_all_differ(tmp_path: Path) -> None:
 def test_more_topics_than_a_robot_has(tmp_path: Path) -> None:
     path = cdr_log(tmp_path / "log", "float64 x\n", [bytes(8)] * 5001, 5001)
     assert "5001 topics are beyond the limit topics = 5000 (`limit` topics=20000 raises it)" in refused(path)
-    path = cdr_log(tmp_path / "log", "float64 x\n", [bytes(8)] * 3000, 1500)
-    assert len(survey(path).topics) == 1500
 
 
 def protobuf_log(path: Path, files: list[FileDescriptorProto] | bytes, payloads: list[bytes]) -> Path:
