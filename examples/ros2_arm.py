@@ -96,11 +96,11 @@ def sender_of(chosen: argparse.Namespace) -> Callable[[str, float, Any, Any], No
 
         return send_line
     if chosen.transport == "zenoh":
-        from amhe_cli.logs.live.zenoh import Zenoh
+        from amhe_cli.logs.live.ros import Zenoh
 
         transport: Any = Zenoh((), Definitions(), chosen.domain, chosen.connect)
     else:
-        from amhe_cli.logs.live.dds import Dds
+        from amhe_cli.logs.live.ros import Dds
 
         transport = Dds((), Definitions(), chosen.domain, "127.0.0.1", ())
     atexit.register(transport.close)

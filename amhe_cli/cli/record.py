@@ -32,8 +32,8 @@ def record(session: Session, given: Given) -> None:
     """
     from amhe_cli.core.settings import LiveSettings
     from amhe_cli.logs import LogWriter
-    from amhe_cli.logs.live.open import open_transport
     from amhe_cli.logs.live.ros import renamed
+    from amhe_cli.logs.live.sources import open_transport
     from amhe_cli.logs.live.transport import STEP
     from amhe_cli.logs.messages.definitions import Definitions
 

@@ -96,7 +96,7 @@ def watch(session: Session, given: Given) -> None:
     from amhe_cli.estimation.online.workers import InProcess, SeenWorker, Worker
     from amhe_cli.live.watch import Alarm, estimator_of
     from amhe_cli.live.watch import watch as run_watch
-    from amhe_cli.logs.live.open import open_source
+    from amhe_cli.logs.live.sources import open_source
     from amhe_cli.logs.messages.definitions import Definitions
     from amhe_cli.report.watch import PUBLISHED, WatchReport
     from amhe_cli.system.provenance import estimator_provenance

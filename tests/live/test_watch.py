@@ -20,9 +20,9 @@ from amhe_cli.live import watch as live_watch
 from amhe_cli.live.watch import Alarm, estimator_of, watch
 from amhe_cli.logs import read_log
 from amhe_cli.logs.containers.folder import open_log
-from amhe_cli.logs.live import messages, transport
+from amhe_cli.logs.live import messages
 from amhe_cli.logs.live.messages import LiveSource
-from amhe_cli.logs.live.transport import Played
+from amhe_cli.logs.live.sources import Played
 from amhe_cli.logs.messages.definitions import Definitions
 from amhe_cli.system.system import System
 
@@ -65,7 +65,7 @@ class Idle(Quick):
 def test_it_finds_what_a_replay_of_the_log_finds(pendulum, pendulum_log, monkeypatch) -> None:
     """The clock is that of the test, so that a busy machine leaves nothing out."""
     clock = iter(np.arange(0.0, 1000.0, 0.005).tolist())
-    monkeypatch.setattr(transport.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr("time.monotonic", lambda: next(clock))
     monkeypatch.setattr(messages, "STEP", 0.0)
     source = played(pendulum_log, pendulum)
     found = [one for one in watch(pendulum, source, Quick(pendulum)) if isinstance(one, Estimate)]
@@ -82,7 +82,7 @@ def test_it_finds_what_a_replay_of_the_log_finds(pendulum, pendulum_log, monkeyp
 def test_a_payload_is_a_jump_and_its_mass_is_found(pendulum, jumping, monkeypatch) -> None:
     """0.8 kg on 0.4 kg, at 4 s: a jump within 1.5 s, within 5 % after 2 s more, and the interval holds."""
     clock = iter(np.arange(0.0, 1000.0, 0.005).tolist())
-    monkeypatch.setattr(transport.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr("time.monotonic", lambda: next(clock))
     monkeypatch.setattr(messages, "STEP", 0.0)
     events = list(watch(pendulum, played(jumping, pendulum), Quick(pendulum)))
     monkeypatch.undo()
@@ -171,7 +171,7 @@ def test_a_rule_that_is_none_is_refused(pendulum: System, rule: str, said: str) 
 @pytest.mark.medium
 def test_a_wrong_sign_is_said_at_the_start(pendulum, pendulum_log, monkeypatch) -> None:
     clock = iter(np.arange(0.0, 1000.0, 0.005).tolist())
-    monkeypatch.setattr(transport.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr("time.monotonic", lambda: next(clock))
     monkeypatch.setattr(messages, "STEP", 0.0)
     monkeypatch.setattr(live_watch, "_LAST", 60.0)
     signals = [replace(s, reversed=(0,)) if s.is_input else s for s in pendulum.signals]

@@ -8,7 +8,7 @@ import pytest
 from mcap.writer import CompressionType, Writer
 
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.logs.live.growing import GrowingMcap
+from amhe_cli.logs.live.sources import GrowingMcap
 
 
 class Recorder:

@@ -16,8 +16,9 @@ from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs.containers.raw import Batch
+from amhe_cli.logs.live import ros
 from amhe_cli.logs.live.messages import LiveSource
-from amhe_cli.logs.live.ros import RosTransport, dds_type, renamed, ros_type
+from amhe_cli.logs.live.ros import Dds, RosTransport, Zenoh, dds_type, renamed, ros_type
 from amhe_cli.logs.messages.definitions import Definitions
 from benchmarks.watch import free_endpoint, router
 from examples.ros2_arm import zeros
@@ -57,8 +58,6 @@ def check(found: list[Batch]) -> None:
 
 def test_dds_brings_what_is_published() -> None:
     pytest.importorskip("cyclonedds")
-    from amhe_cli.logs.live.dds import Dds
-
     transport = Dds({"/arm/joint_states"}, Definitions(), 79, "127.0.0.1")
     try:
         check(exchanged(transport, transport))
@@ -69,8 +68,6 @@ def test_dds_brings_what_is_published() -> None:
 
 def test_the_low_state_of_a_unitree_robot_is_read_without_its_definitions() -> None:
     pytest.importorskip("cyclonedds")
-    from amhe_cli.logs.live.dds import Dds
-
     kind, definitions = "unitree_go/msg/LowState", Definitions()
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(definitions.described(kind)[0], kind))
@@ -95,11 +92,10 @@ def test_the_low_state_of_a_unitree_robot_is_read_without_its_definitions() -> N
 @pytest.mark.slow
 def test_a_router_that_is_gone_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("zenoh")
-    from amhe_cli.logs.live import zenoh
 
-    monkeypatch.setattr(zenoh, "_LOOK", 0.2)
+    monkeypatch.setattr(ros, "_LOOK", 0.2)
     with router(where := free_endpoint()):
-        transport = zenoh.Zenoh({"/arm/joint_states"}, Definitions(), 3, where)
+        transport = Zenoh({"/arm/joint_states"}, Definitions(), 3, where)
         found = exchanged(transport, transport)
     try:
         assert found
@@ -116,8 +112,6 @@ def test_a_router_that_is_gone_is_waited_for(monkeypatch: pytest.MonkeyPatch) ->
 
 def test_zenoh_brings_what_is_published_and_names_what_is_offered() -> None:
     pytest.importorskip("zenoh")
-    from amhe_cli.logs.live.zenoh import Zenoh
-
     with router(where := free_endpoint()):
         wanted = (), {"/arm/joint_states"}, {"/other"}
         sender, receiver, other = (Zenoh(topics, Definitions(), 3, where) for topics in wanted)
@@ -132,11 +126,10 @@ def test_zenoh_brings_what_is_published_and_names_what_is_offered() -> None:
 
 def test_without_a_router_there_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("zenoh")
-    from amhe_cli.logs.live import zenoh
 
-    monkeypatch.setattr(zenoh, "_PATIENCE", 100)
+    monkeypatch.setattr(ros, "_PATIENCE", 100)
     with pytest.raises(ConfigError, match=r"^`source=zenoh`: no router at tcp/127.0.0.1:1 .*rmw_zenohd"):
-        zenoh.Zenoh((), Definitions(), 0, "tcp/127.0.0.1:1")
+        Zenoh((), Definitions(), 0, "tcp/127.0.0.1:1")
 
 
 def test_types_are_named_as_dds_names_them() -> None:
