@@ -131,7 +131,7 @@ class WatchReport:
             self._diagnosed_at = clock
             if self._audit and self._last != self._audited:
                 self._lines, self._audited = list(self._audit(self._last[0].belief)), self._last
-            rates = {one.topic: f"{one.rate:.0f} Hz" for one in self._source.topics()}
+            rates = {one.name: f"{one.rate:.0f} Hz" for one in self._source.topics.values()}
             self._log.also = self._send
             stamp = self._source.stamp_ns(max(self._now, 0.0))
             self._log.diagnostics(stamp, *self.status(), rates, of="watch")
@@ -185,8 +185,8 @@ class WatchReport:
     def _metrics(self) -> Iterator[tuple[str, str, float]]:
         yield from (("status", "", self.status()[0]), ("lag_seconds", "", self._lag))
         yield from (("windows_total", _label(mark=mark), n) for mark, n in list(self._counts.items()))
-        for one in self._source.topics():
-            label = _label(topic=one.topic)
+        for one in self._source.topics.values():
+            label = _label(topic=one.name)
             yield from (("topic_rate_hz", label, one.rate), ("topic_messages_total", label, one.count))
             yield ("topic_dropped_total", label, one.dropped)
         for row in self.record()["parameters"]:
@@ -246,10 +246,12 @@ class WatchReport:
 
     def _topics(self) -> Table:
         table = _table("topic", ("rate", "right"), ("lag", "right"), ("dropped", "right"))
-        for one in self._source.topics():
+        for one in self._source.topics.values():
             rate = "stopped" if one.silent else f"{one.rate:.0f} Hz" if one.count else "waiting"
             colour = "red" if one.silent or not one.count else ""
-            table.add_row(one.topic, Text(rate, colour), f"{1e3 * one.lag:.0f} ms", str(one.dropped or "-"))
+            table.add_row(
+                one.name, Text(rate, colour), f"{1e3 * (one.lag or 0.0):.0f} ms", str(one.dropped or "-")
+            )
         return table
 
 

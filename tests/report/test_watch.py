@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import deque
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +15,7 @@ from rich.console import Console
 
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import MovingHorizon
-from amhe_cli.logs.live.messages import TopicHealth
+from amhe_cli.logs.live.messages import Topic
 from amhe_cli.logs.messages.writer import ERROR, OK, WARN
 from amhe_cli.report import watch
 from amhe_cli.report.watch import STALE, WatchReport, blocks
@@ -31,10 +32,12 @@ def estimate():
 
 @pytest.fixture
 def report(tmp_path: Path):
-    topics = [TopicHealth('/a"b', 10, 99.5, 0.003, 2), TopicHealth("/gone", silent=True)]
-    source: Any = SimpleNamespace(
-        about="a test", now=0.5, topics=lambda: topics, stamp_ns=lambda at: round(1e9 * at)
-    )
+    arrivals = deque(round(k * 1e9 / 99.6) for k in range(11))
+    topics = {
+        name: Topic(name, silent=name == "/gone", lag=0.003, dropped=2, count=10, arrivals=arrivals)
+        for name in ('/a"b', "/gone")
+    }
+    source: Any = SimpleNamespace(about="a test", now=0.5, topics=topics, stamp_ns=lambda at: round(1e9 * at))
     alarms = {"load_mass > 0": lambda one: one.theta[0] > 0.0}
     sent: list[str] = []
     made = WatchReport(

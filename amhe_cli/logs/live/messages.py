@@ -51,46 +51,42 @@ _ARRIVALS, _PAUSES = 200, 20
 _PATIENCE = 0.1
 
 
-@dataclass(frozen=True, slots=True)
-class TopicHealth:
-    """How one topic does.
+@dataclass(slots=True)
+class Topic:
+    """How one topic does, and what is known of it while its messages come.
 
-    Args:
-        topic: Name of the topic.
+    Attributes:
+        name: Name of the topic.
+        offset: What is added to its stamps [s].
         count: Messages so far.
-        rate: Messages a second, lately [Hz].
-        lag: Time from a message's stamp to its arrival [s]: transport, and the offset of the clocks.
+        lag: Time from a message's stamp to its arrival [s]: transport, and the offset of the clocks; None
+            before the first.
         dropped: Messages that could not be read, came out of order, or have a stamp that cannot be true.
         silent: Whether it has stopped.
     """
 
-    topic: str
+    name: str
+    offset: float = 0.0
     count: int = 0
-    rate: float = 0.0
-    lag: float = 0.0
+    lag: float | None = None
     dropped: int = 0
     silent: bool = False
-
-
-@dataclass(slots=True)
-class _Topic:
-    """What is known of one topic while its messages come."""
-
-    connection: Connection
-    splitter: Splitter
-    decoders: list[tuple[Signal, SignalDecoder]]
-    offset: float
-    lag: float | None = None
+    connection: Connection | None = None
+    splitter: Splitter | None = None
+    decoders: list[tuple[Signal, SignalDecoder]] = field(default_factory=list)
     strange: int = 0
     reached: dict[str, float] = field(default_factory=dict)
     angles: dict[str, FloatArray] = field(default_factory=dict)
-    count: int = 0
-    dropped: int = 0
     stamped: bool = False
     heard: float = 0.0
-    silent: bool = False
     arrivals: deque[int] = field(default_factory=lambda: deque(maxlen=_ARRIVALS))
     pauses: deque[float] = field(default_factory=lambda: deque(maxlen=_PAUSES))
+
+    @property
+    def rate(self) -> float:
+        """Messages a second, lately [Hz]."""
+        span = (self.arrivals[-1] - self.arrivals[0]) / 1e9 if self.arrivals else 0.0
+        return (len(self.arrivals) - 1) / span if span > 0.0 and not self.silent else 0.0
 
     @property
     def newest(self) -> float:
@@ -128,6 +124,7 @@ class LiveSource:
     Attributes:
         about: Whom it listens to, in words.
         epoch: How often its clock has been set back.
+        topics: How the topics of the signals do, by their names.
     """
 
     def __init__(
@@ -141,7 +138,9 @@ class LiveSource:
         self.about, self.epoch, self._transport, self._signals = transport.about, 0, transport, signals
         self._definitions, self._settings = definitions, settings
         self._clock_ns: int | None = 0 if sim_time else None
-        self._topics: dict[str, _Topic] = {}
+        self.topics: dict[str, Topic] = {}
+        for signal in signals:
+            self.topics.setdefault(signal.topic, Topic(signal.topic, signal.offset))
         self._said: set[tuple[str, str]] = set()
         self._events: list[str] = []
         self._origin_ns: int | None = None
@@ -159,7 +158,7 @@ class LiveSource:
 
         It is that of the newest sample, or a little less while another topic lags.
         """
-        topics, gap = self._topics.values(), self._settings.max_gap
+        topics, gap = self.topics.values(), self._settings.max_gap
         newest = max((topic.newest for topic in topics), default=-np.inf)
         streaming = (t.newest for t in topics if not t.silent and np.isfinite(t.bridge(gap)))
         return max(newest - _PATIENCE, min(streaming, default=newest))
@@ -178,19 +177,6 @@ class LiveSource:
         found, self._events = self._events, []
         return [*self._transport.notes(), *found]
 
-    def topics(self) -> list[TopicHealth]:
-        """How the topics do."""
-        found = []
-        for name in dict.fromkeys(signal.topic for signal in self._signals):
-            if (topic := self._topics.get(name)) is None:
-                found.append(TopicHealth(name))
-                continue
-            span = (topic.arrivals[-1] - topic.arrivals[0]) / 1e9
-            rate = (len(topic.arrivals) - 1) / span if span > 0.0 and not topic.silent else 0.0
-            lag, dropped = topic.lag or 0.0, topic.dropped
-            found.append(TopicHealth(name, topic.count, rate, lag, dropped, topic.silent))
-        return found
-
     def stamp_ns(self, seconds: float) -> int:
         """The sender's stamp [ns] at a time of the samples [s]."""
         return (self._origin_ns or 0) + round(1e9 * seconds)
@@ -203,9 +189,10 @@ class LiveSource:
         if self._clock_ns is not None:
             self._clock_ns = (name == CLOCK and _clock_of(batch)) or self._clock_ns
             batch = replace(batch, publish_ns=np.full_like(batch.log_ns, self._clock_ns))
-        topic = self._topic(batch.connection)
-        if topic is None or self._clock_ns == 0:
+        topic = self.topics.get(name)
+        if topic is None or self._clock_ns == 0 or not self._readable(topic, batch.connection):
             return []
+        assert topic.splitter is not None
         groups = sorted(topic.splitter.split(batch), key=lambda group: int(group.members[0]))
         heard, topic.heard = topic.heard, time.monotonic()
         topic.pauses.append(topic.heard - (heard or topic.heard))
@@ -229,28 +216,26 @@ class LiveSource:
             if topic.count % _FRESH < batch.starts.size:
                 decoder.forget()
         if topic.count % _FRESH < batch.starts.size:
-            topic.splitter = Splitter(topic.connection, self._definitions)
+            topic.splitter = Splitter(batch.connection, self._definitions)
         return found
 
-    def _topic(self, connection: Connection) -> _Topic | None:
-        """The topic of a connection; None if nobody wants its messages, or they cannot be read."""
-        name = connection.topic
-        wanting = [signal for signal in self._signals if signal.topic == name]
-        topic = self._topics.get(name)
-        if topic is None and wanting:
+    def _readable(self, topic: Topic, connection: Connection) -> bool:
+        """Whether messages of a connection can be read as those of its topic so far."""
+        if topic.connection is None:
+            wanting = [signal for signal in self._signals if signal.topic == topic.name]
             try:
-                splitter = Splitter(connection, self._definitions)
-                decoders = [(signal, SignalDecoder(signal, connection)) for signal in wanting]
+                topic.splitter = Splitter(connection, self._definitions)
+                topic.decoders = [(signal, SignalDecoder(signal, connection)) for signal in wanting]
             except (LogError, ConfigError) as error:
-                self._say(name, "type", str(error))
-                return None
-            topic = self._topics[name] = _Topic(connection, splitter, decoders, wanting[0].offset)
-        if topic is not None and connection.type != topic.connection.type:
-            self._say(name, "types", f"carries {connection.type}, too; only {topic.connection.type} is read")
-            return None
-        return topic
+                self._say(topic.name, "type", str(error))
+                return False
+            topic.connection = connection
+        own = topic.connection.type
+        if connection.type != own:
+            self._say(topic.name, "types", f"carries {connection.type}, too; only {own} is read")
+        return connection.type == own
 
-    def _of_signal(self, topic: _Topic, signal: Signal, samples: SignalSamples, times: FloatArray) -> Samples:
+    def _of_signal(self, topic: Topic, signal: Signal, samples: SignalSamples, times: FloatArray) -> Samples:
         """Values in SI at their times (n,)."""
         samples = checked(samples, signal, lambda text: self._say(signal.topic, "impossible", text))
         line = Timeline("header", samples.header_ns, np.arange(times.size), 0.0, ())
@@ -269,7 +254,7 @@ class LiveSource:
 
     # -- times ----------------------------------------------------------------------------------------
 
-    def _times(self, topic: _Topic, signal: Signal, samples: SignalSamples) -> tuple[FloatArray, IntArray]:
+    def _times(self, topic: Topic, signal: Signal, samples: SignalSamples) -> tuple[FloatArray, IntArray]:
         """Times [s] of the samples that count, strictly increasing, and their rows; shape (n,) each."""
         if np.any(samples.delay_ns):
             text = "later points of a trajectory are left out; take the topic of the controller's state"
@@ -294,7 +279,7 @@ class LiveSource:
         topic.reached[signal.name] = float(times[order[-1]]) if order.size else reached
         return times[order], rows[order]
 
-    def _stamps(self, topic: _Topic, samples: SignalSamples) -> IntArray:
+    def _stamps(self, topic: Topic, samples: SignalSamples) -> IntArray:
         """The stamps that count [ns], shape (n,); 0 where there is none."""
         chosen, shift = self._settings.stamp, topic.offset
         topic.stamped |= chosen in ("auto", "header") and bool(samples.header_ns.any())
@@ -302,26 +287,25 @@ class LiveSource:
             samples.has_header and topic.count <= _SET
         ):  # a first stamp may be that of t = 0
             return np.where(samples.header_ns != 0, samples.header_ns + round(1e9 * shift), 0)
-        lags = [other.lag for other in self._topics.values() if other.stamped and other.lag is not None]
+        lags = [other.lag for other in self.topics.values() if other.stamped and other.lag is not None]
         middle = float(np.median(lags)) if lags else 0.0
         shift -= middle if abs(middle) > _STRANGE else 0.0
         return (samples.log_ns if chosen == "log" else samples.publish_ns) + round(1e9 * shift)
 
-    def _set(self, topic: _Topic, lag: float) -> None:
+    def _set(self, topic: Topic, lag: float) -> None:
         """A clock was set: ahead, stamps count as they are; back, all begin again, later than now."""
         ahead, now = (topic.lag or 0.0) - lag, time.monotonic()
         topic.lag, topic.strange = lag, 0
         way = "ahead" if ahead > 0.0 else "back; estimation begins again, and the belief stays"
         if now > self._settled_at + _STRANGE:  # one that is set all the time is one event
-            name = topic.connection.topic
-            self._events.append(f"topic {name!r}: its clock was set {abs(ahead):.3g} s {way}")
+            self._events.append(f"topic {topic.name!r}: its clock was set {abs(ahead):.3g} s {way}")
         self._settled_at = now
         if ahead > 0.0:
             return
-        newest = max(one.newest for one in self._topics.values())
+        newest = max(one.newest for one in self.topics.values())
         self._resume_at = newest + 2.0 * self._settings.max_gap if np.isfinite(newest) else self._resume_at
         self._origin_ns, self._settled_at, self.epoch = None, now + _SETTLING, self.epoch + 1
-        for one in self._topics.values():
+        for one in self.topics.values():
             one.lag, one.reached, one.angles = None, {}, {}
 
     # -- health ---------------------------------------------------------------------------------------
@@ -330,8 +314,8 @@ class LiveSource:
         """Note topics that are absent, have stopped or go on again."""
         now = time.monotonic()
         for signal in self._signals:
-            topic = self._topics.get(signal.topic)
-            if topic is None:
+            topic = self.topics[signal.topic]
+            if topic.connection is None:
                 if now - self._begun > _ABSENT and (signal.topic, "type") not in self._said:
                     text = missing(self._transport.connections, signal)
                     self._say(signal.topic, "absent", f"{text}; waiting")
