@@ -105,6 +105,7 @@ class WatchReport:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._hold_against()
         self._keep()
         self._open.__exit__(kind, error, trace)
 
@@ -129,8 +130,7 @@ class WatchReport:
             self._now, self._moved_at = self._source.now, clock
         if clock - self._diagnosed_at >= _DIAGNOSED:
             self._diagnosed_at = clock
-            if self._audit and self._last != self._audited:
-                self._lines, self._audited = list(self._audit(self._last[0].belief)), self._last
+            self._hold_against()
             rates = {one.name: f"{one.rate:.0f} Hz" for one in self._source.topics.values()}
             self._log.also = self._send
             stamp = self._source.stamp_ns(max(self._now, 0.0))
@@ -229,6 +229,11 @@ class WatchReport:
         for topic in ("/amhe/params", *(["/amhe/jump"] if estimate.mark == "jump" else [])):
             log.joint_state(topic, stamp, names, estimate.theta, effort=estimate.sd)
         log.numbers("/amhe/covariance", stamp, estimate.belief.covariance.reshape(-1))
+
+    def _hold_against(self) -> None:
+        """Hold the file's numbers against the newest belief, if that is a new one."""
+        if self._audit and self._last != self._audited:
+            self._lines, self._audited = list(self._audit(self._last[0].belief)), self._last
 
     def _keep(self) -> None:
         """Write the newest belief, whole."""

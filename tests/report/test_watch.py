@@ -15,7 +15,7 @@ from rich.console import Console
 
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import MovingHorizon
-from amhe_cli.logs.live.messages import Topic
+from amhe_cli.logs.live.messages import LiveTopic
 from amhe_cli.logs.messages.writer import ERROR, OK, WARN
 from amhe_cli.report import watch
 from amhe_cli.report.watch import STALE, WatchReport, blocks
@@ -34,7 +34,7 @@ def estimate():
 def report(tmp_path: Path):
     arrivals = deque(round(k * 1e9 / 99.6) for k in range(11))
     topics = {
-        name: Topic(name, silent=name == "/gone", lag=0.003, dropped=2, count=10, arrivals=arrivals)
+        name: LiveTopic(name, silent=name == "/gone", lag=0.003, dropped=2, count=10, arrivals=arrivals)
         for name in ('/a"b', "/gone")
     }
     source: Any = SimpleNamespace(about="a test", now=0.5, topics=topics, stamp_ns=lambda at: round(1e9 * at))

@@ -52,7 +52,7 @@ _PATIENCE = 0.1
 
 
 @dataclass(slots=True)
-class Topic:
+class LiveTopic:
     """How one topic does, and what is known of it while its messages come.
 
     Attributes:
@@ -138,9 +138,9 @@ class LiveSource:
         self.about, self.epoch, self._transport, self._signals = transport.about, 0, transport, signals
         self._definitions, self._settings = definitions, settings
         self._clock_ns: int | None = 0 if sim_time else None
-        self.topics: dict[str, Topic] = {}
+        self.topics: dict[str, LiveTopic] = {}
         for signal in signals:
-            self.topics.setdefault(signal.topic, Topic(signal.topic, signal.offset))
+            self.topics.setdefault(signal.topic, LiveTopic(signal.topic, signal.offset))
         self._said: set[tuple[str, str]] = set()
         self._events: list[str] = []
         self._origin_ns: int | None = None
@@ -219,7 +219,7 @@ class LiveSource:
             topic.splitter = Splitter(batch.connection, self._definitions)
         return found
 
-    def _readable(self, topic: Topic, connection: Connection) -> bool:
+    def _readable(self, topic: LiveTopic, connection: Connection) -> bool:
         """Whether messages of a connection can be read as those of its topic so far."""
         if topic.connection is None:
             wanting = [signal for signal in self._signals if signal.topic == topic.name]
@@ -235,7 +235,9 @@ class LiveSource:
             self._say(topic.name, "types", f"carries {connection.type}, too; only {own} is read")
         return connection.type == own
 
-    def _of_signal(self, topic: Topic, signal: Signal, samples: SignalSamples, times: FloatArray) -> Samples:
+    def _of_signal(
+        self, topic: LiveTopic, signal: Signal, samples: SignalSamples, times: FloatArray
+    ) -> Samples:
         """Values in SI at their times (n,)."""
         samples = checked(samples, signal, lambda text: self._say(signal.topic, "impossible", text))
         line = Timeline("header", samples.header_ns, np.arange(times.size), 0.0, ())
@@ -254,7 +256,7 @@ class LiveSource:
 
     # -- times ----------------------------------------------------------------------------------------
 
-    def _times(self, topic: Topic, signal: Signal, samples: SignalSamples) -> tuple[FloatArray, IntArray]:
+    def _times(self, topic: LiveTopic, signal: Signal, samples: SignalSamples) -> tuple[FloatArray, IntArray]:
         """Times [s] of the samples that count, strictly increasing, and their rows; shape (n,) each."""
         if np.any(samples.delay_ns):
             text = "later points of a trajectory are left out; take the topic of the controller's state"
@@ -279,7 +281,7 @@ class LiveSource:
         topic.reached[signal.name] = float(times[order[-1]]) if order.size else reached
         return times[order], rows[order]
 
-    def _stamps(self, topic: Topic, samples: SignalSamples) -> IntArray:
+    def _stamps(self, topic: LiveTopic, samples: SignalSamples) -> IntArray:
         """The stamps that count [ns], shape (n,); 0 where there is none."""
         chosen, shift = self._settings.stamp, topic.offset
         topic.stamped |= chosen in ("auto", "header") and bool(samples.header_ns.any())
@@ -292,7 +294,7 @@ class LiveSource:
         shift -= middle if abs(middle) > _STRANGE else 0.0
         return (samples.log_ns if chosen == "log" else samples.publish_ns) + round(1e9 * shift)
 
-    def _set(self, topic: Topic, lag: float) -> None:
+    def _set(self, topic: LiveTopic, lag: float) -> None:
         """A clock was set: ahead, stamps count as they are; back, all begin again, later than now."""
         ahead, now = (topic.lag or 0.0) - lag, time.monotonic()
         topic.lag, topic.strange = lag, 0
