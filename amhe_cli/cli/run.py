@@ -65,7 +65,7 @@ def run(session: Session, given: Given) -> None:
     from amhe_cli.report.run import print_run, verdict, write_run
     from amhe_cli.robots.go1.judge import run_record
     from amhe_cli.robots.go1.run import RunOptions, open_run
-    from amhe_cli.system.provenance import run_provenance
+    from amhe_cli.system.provenance import estimator_provenance
 
     task, mode, target, dry_run = given.task, given.mode, given.target, given.dry_run
     belief, seed, plant, overrides = given.belief, given.seed, given.plant, given.overrides
@@ -99,7 +99,7 @@ def run(session: Session, given: Given) -> None:
             duration=given.seconds, cut_short=given.seconds < options.LONGEST, out=str(folder), **link,
         )  # fmt: skip
         files = [Path(p) for p in (belief, plant) if p and Path(p).is_file()]
-        origin = run_provenance(session.command_line, seed, opened.system, files)
+        origin = estimator_provenance(session.command_line, seed, "mpopi", opened.system, files)
         error = ending.error
         try:
             write_run(scratch, _facts(opened, link), history.columns(), record, origin)

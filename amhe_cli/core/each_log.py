@@ -48,7 +48,7 @@ def trended(logs: Sequence[Log], names: Sequence[str]) -> list[Log]:
     if names and not np.ptp(middles):
         raise ConfigError(f"`trend`: {', '.join(names)}: needs logs, or parts of one, of different times")
     places = ((middles - middles.min()) / (np.ptp(middles) or 1.0)).tolist()
-    return [log.with_(trend=dict.fromkeys(names, at)) for log, at in zip(logs, places, strict=True)]
+    return [log.with_(trend={name: at for name in names}) for log, at in zip(logs, places, strict=True)]
 
 
 def searched(space: ParameterSpace, logs: Sequence[Log]) -> ParameterSpace:
@@ -84,7 +84,7 @@ def searched(space: ParameterSpace, logs: Sequence[Log]) -> ParameterSpace:
             matrix[np.ix_(kept, kept)] = np.array(given)[np.ix_(those, those)]
         rows.append(None if given is None else rows_of(matrix))
     owed = tuple((name, tuple(e[i] if i >= 0 else 0.0 for i in columns)) for name, e in space.prior_owed)
-    return ParameterSpace(tuple(parameters), *rows, owed)
+    return ParameterSpace(tuple(parameters), *rows, prior_owed=owed)
 
 
 def values_on(log: Log, model: ParameterSpace, space: ParameterSpace, theta: FloatArray) -> FloatArray:

@@ -210,7 +210,7 @@ class ParameterSpace:
             None if matrix is None else rows_of(np.array(matrix)[np.ix_(kept, kept)]) for matrix in matrices
         )
         owed = tuple((cause, tuple(error[i] for i in kept)) for cause, error in self.prior_owed)
-        return ParameterSpace(tuple(self.parameters[i] for i in kept), *rows, owed)
+        return ParameterSpace(tuple(self.parameters[i] for i in kept), *rows, prior_owed=owed)
 
     def gaussian_of(self, belief: GaussianBelief) -> tuple[FloatArray, FloatArray]:
         """Mean z (d,) and covariance (d, d) of a belief; what it does not know has its prior."""

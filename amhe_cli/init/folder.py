@@ -42,7 +42,7 @@ from amhe_cli.init.signals import (
 )
 from amhe_cli.init.tables import is_measured, topics_in, with_columns
 from amhe_cli.init.text import system_text
-from amhe_cli.logs import TopicSurvey, read_signals, survey
+from amhe_cli.logs import read_signals, survey
 from amhe_cli.logs.containers.table_file import TYPE as TABLE
 from amhe_cli.system.description.doubts import doubts_of
 from amhe_cli.system.description.folders import FILE_NAME
@@ -175,7 +175,10 @@ def proposed(
     notes += notes_on(model, topics, guesses, efforts=matched is not None)
     for guess in guesses:
         with_columns(guess, topics, alone=len({topic.table for topic in topics if topic.columns}) == 1)
-    skeletons = _skeletons(model, topics, guesses)
+    stated = {name for guess in guesses for name in guess.entry.get("joints", ())}
+    # a signal to complete by hand for each type that is not built in, while joints lack a state
+    unread = [] if stated.issuperset(single_joints(model)) else foreign(topics)
+    skeletons = [fields_example(model, topic) for topic in unread]
     guesses = [*guesses, *told, *(matched or ())[:1]]
     spare = guessed_masses(model, guesses) if actuators else []
     match = "effort" if matched else "motion"
@@ -251,7 +254,11 @@ def init_system(
 def _topics(logs: Sequence[Path], msg_path: Path | None) -> list[Topic]:
     """Topics that can be read in every log, as they are in the first one, without what amhe computed."""
     surveys = [survey(log, msg_path=msg_path).topics for log in logs]
-    surveys = [[_unnamed(topic, alone=len(seen) == 1) for topic in seen] for seen in surveys]
+    # a table that is a log by itself has no name: run1.csv and run2.csv hold the same table
+    surveys = [
+        [replace(topic, name="table") if len(seen) == 1 and topic.type == TABLE else topic for topic in seen]
+        for seen in surveys
+    ]
     common = set.intersection(*({topic.name for topic in seen} for seen in surveys))
     return [
         Topic(seen.name, seen.type, seen.rate, seen.entries, seen.quantities, paths=seen.paths)
@@ -261,11 +268,6 @@ def _topics(logs: Sequence[Path], msg_path: Path | None) -> list[Topic]:
         and seen.rate > 0.0
         and not seen.name.startswith("/amhe/")
     ]
-
-
-def _unnamed(topic: TopicSurvey, alone: bool) -> TopicSurvey:
-    """A table that is a log by itself, without its name: run1.csv and run2.csv hold the same table."""
-    return replace(topic, name="table") if alone and topic.type == TABLE else topic
 
 
 def _with_tables(topics: Sequence[Topic], model: mujoco.MjModel) -> list[Topic]:
@@ -320,14 +322,6 @@ def _needs_fields(model: mujoco.MjModel, topics: Sequence[Topic]) -> str:
             *(f"  {line}" for line in fields_example(model, topics[0])),
         )
     )
-
-
-def _skeletons(model: mujoco.MjModel, topics: Sequence[Topic], guesses: Sequence[Guess]) -> list[list[str]]:
-    """A signal to complete by hand for each type that is not built in, while joints lack a state."""
-    measured = {name for guess in guesses for name in guess.entry.get("joints", ())}
-    if measured.issuperset(single_joints(model)):
-        return []
-    return [fields_example(model, topic) for topic in foreign(topics)]
 
 
 def _declare_units(made: Proposal, log: Path, msg_path: Path | None) -> list[str]:

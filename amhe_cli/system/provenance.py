@@ -90,11 +90,6 @@ def system_files(system: System) -> dict[str, str]:
     }
 
 
-def run_provenance(command_line: str, seed: int, system: System, inputs: Sequence[Path]) -> dict[str, object]:
-    """The record of a closed-loop run; `inputs` are files such as a belief or another plant."""
-    return estimator_provenance(command_line, seed, "mpopi", system, inputs)
-
-
 def estimator_provenance(
     command_line: str, seed: int, method: str, system: System, inputs: Sequence[Path]
 ) -> dict[str, object]:

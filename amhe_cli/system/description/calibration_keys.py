@@ -150,7 +150,9 @@ class CalibrationDraft:
         if word == "frame":
             self._check_frame(name)
         if word == "band":
-            self._check_band(name)
+            compared = [c for (n, _), c in self.channels.items() if n == name and c.compared]
+            if all(channel.kind == "rotation" for channel in compared):
+                raise ConfigError("band is for numbers that are compared with the model")
             if value is None and (name, word, quantity, column) not in self._rows:
                 raise ConfigError("give the signal a band of its own, such as band: 100, to start from")
         row = self._row((name, word, quantity, column), value)
@@ -204,11 +206,6 @@ class CalibrationDraft:
                 "this signal has quantities in the world and in the site's own axes: split it in two, each "
                 "with a frame of its own"
             )
-
-    def _check_band(self, name: str) -> None:
-        compared = [c for (n, _), c in self.channels.items() if n == name and c.compared]
-        if all(channel.kind == "rotation" for channel in compared):
-            raise ConfigError("band is for numbers that are compared with the model")
 
     def _reading(self, name: str, quantity: str, channel: Channel) -> Reading:
         rows = self._rows

@@ -15,6 +15,7 @@ import numpy as np
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.log import Log
 from amhe_cli.core.signals import Series
+from amhe_cli.core.yaml_file import flow
 from amhe_cli.system.description.data import Input, SystemData
 from amhe_cli.system.model.elements import commanded
 from amhe_cli.system.model.gaps import gaps
@@ -78,17 +79,10 @@ class Doubt:
     remedy: Mapping[str, Any] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        keys = ", ".join(f"{key}: {_written(value)}" for key, value in self.remedy.items())
+        keys = flow(dict(self.remedy))[1:-1]
         return f"signal {self.signal!r}: {self.text}" + (
             f"; {keys} in system.yaml converts a file" if keys else ""
         )
-
-
-def _written(value: Any) -> str:
-    """A value as YAML has it on one line."""
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{key}: {inner}" for key, inner in value.items()) + "}"
-    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def doubts_of(system: SystemData, log: Log) -> Iterator[Doubt]:

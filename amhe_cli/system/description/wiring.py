@@ -347,16 +347,16 @@ def _measured_body(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
     draft.signals.append(signal)
 
 
-def _measured_site(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
-    """Motion or force at a site: an IMU, a tool, a force-torque sensor."""
-    id_of(draft.model, "site", str(entry.site))
-    _at_site(draft, name, entry, str(entry.site), tuple(_SITE_SENSORS))
-
-
 def _at_site(
-    draft: WiringDraft, name: str, entry: SignalEntry, site: str, quantities: tuple[str, ...]
+    draft: WiringDraft,
+    name: str,
+    entry: SignalEntry,
+    site: str = "",
+    quantities: tuple[str, ...] = tuple(_SITE_SENSORS),
 ) -> None:
-    """Compare quantities at a site with sensors that are added there."""
+    """Compare motion or force at a site, that of the entry or another, with sensors that are added there."""
+    if not site:
+        id_of(draft.model, "site", site := str(entry.site))
     check_noise(entry, quantities)
     compared = {quantity: sd for quantity, sd in entry.noise.items() if sd and entry.compares(quantity)}
     if not compared:
@@ -527,7 +527,7 @@ _PLANNERS = {
     "mocap": _driven_mocap,
     "force_on": _driven_force_on,
     "joint_force": _driven_joint_force,
-    "site": _measured_site,
+    "site": _at_site,
     "sensor": _measured_sensor,
     None: _read_only,
 }

@@ -12,7 +12,6 @@ from typing import cast
 import mujoco
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.system.model.cost import check_model
 from amhe_cli.system.model.urdf import UrdfOptions, is_urdf, urdf_text
@@ -50,19 +49,14 @@ def read_spec(path: Path, urdf: UrdfOptions | None = None) -> mujoco.MjSpec:
     return spec
 
 
-def _half_edges(mass: float, inertia: FloatArray) -> FloatArray:
-    """Half edges [m] of a solid cuboid, whose moments of inertia are mass / 3 (|h|^2 - h_i^2), shape (3,)."""
-    return np.sqrt(np.maximum(1.5 / mass * (inertia.sum() - 2.0 * inertia), _THIN**2))
-
-
 def _add_boxes(spec: mujoco.MjSpec, links: Sequence[str]) -> None:
     """Give links without a shape boxes of their mass and inertia, which do not collide with each other."""
     model = compiled(spec.copy())
     for body in (body for body in spec.bodies if body.name in links):
         row = model.body(body.name)
         mass, inertia = float(row.mass[0]), np.asarray(row.inertia)
-        if mass > 0.0:
-            half = _half_edges(mass, inertia)
+        if mass > 0.0:  # the moments of inertia of a solid cuboid are mass / 3 (|h|^2 - h_i^2)
+            half = np.sqrt(np.maximum(1.5 / mass * (inertia.sum() - 2.0 * inertia), _THIN**2))
             box = body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=half, contype=1, conaffinity=0)
             box.pos, box.quat = row.ipos, row.iquat
 
