@@ -114,10 +114,10 @@ def claims_of(proposal: Proposal, settings: AssumedSettings) -> list[Claim]:
 
 
 def doubts_of(proposal: Proposal) -> list[Guess]:
-    """What no file claims, and every log depends on: the zeros of the encoders, and the delay of commands."""
+    """What no file claims, and every log depends on: the zeros of sensors, and the delay of commands."""
     model, signals = compiled(proposal.spec), proposal.guesses
     if proposal.match == "effort":
-        return []
+        return [one for one in proposal.parameters if one.entry["targets"][0].get("set") == "bias"]
     found = list(zeros(model, measured_joints(model, signals), signals))
     return found + (list(delay(model.opt.timestep)) if moved_by(signals) else [])
 

@@ -91,6 +91,19 @@ def test_names_choose_what_is_written(tmp_path: Path) -> None:
     assert written.joint("elbow").frictionloss[0] == pytest.approx(0.1, abs=0.02)
 
 
+@pytest.mark.medium
+def test_torque_sensors_that_are_not_at_zero_and_a_tool(tmp_path: Path, capsys) -> None:
+    """The bundled arm: the true mass of link 7 with its tool is 1.5 kg, its centre at 0.133 m."""
+    arguments = ["audit", "example:arm_torque", "example:arm_torque", "-o", str(tmp_path / "out"), "-q"]
+    assert run([*arguments, "--threads", "1", "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    lines = {line["parameter"]: line for line in record["numbers"]}
+    assert lines["link7_mass"]["verdict"] == lines["joint7_friction_loss"]["verdict"] == "contradicted"
+    assert abs(lines["link7_center_of_mass_z"]["log"] - 0.1333) < 0.02
+    frictions = [lines[f"joint{k}_damping"]["log"] for k in range(1, 8)]
+    assert np.allclose(frictions, [0.6, 0.8, 0.5, 0.7, 0.3, 0.2, 0.15], rtol=0.1)
+
+
 def test_two_files(tmp_path: Path, capsys) -> None:
     model, _ = spoilt(tmp_path)
     other = tmp_path / "mine.xml"
