@@ -49,7 +49,7 @@ def check(session: Session, given: Given) -> int | None:
     from amhe_cli.cli.required import missed_of
     from amhe_cli.core.files import write_whole
     from amhe_cli.estimation.design.expected import expected
-    from amhe_cli.estimation.explain.first_look import first_look
+    from amhe_cli.estimation.explain.inputs import first_look
     from amhe_cli.report.check import check_page, expected_record, print_expected, print_findings
     from amhe_cli.system.model.files import compiled, read_spec
 

@@ -67,7 +67,7 @@ def looked_at(found: Inspection, system: System) -> Inspection:
     """An inspection with remarks on what is wrong in the log at first sight."""
     from dataclasses import replace
 
-    from amhe_cli.estimation.explain.first_look import first_look
+    from amhe_cli.estimation.explain.inputs import first_look
 
     if found.log is None:
         return found

@@ -16,7 +16,7 @@ from amhe_cli.core.errors import AmheError, ConfigError, EstimationError, one_of
 from amhe_cli.core.log import Samples, Window
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.engine.open import open_engine
-from amhe_cli.estimation.explain.first_look import first_look
+from amhe_cli.estimation.explain.inputs import first_look
 from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon
 from amhe_cli.estimation.online.tracker import Buffer, Tracker
 from amhe_cli.estimation.online.workers import Trouble, Worker

@@ -23,7 +23,8 @@ def missing_record(found: Missing | None) -> dict[str, Any] | None:
         return None
     names = ("name", "kind", "place", "text", "share", "rivals", "repair")
     rows = [{name: getattr(row, name) for name in names} for row in found.rows]
-    return plain({"rows": rows, "chance": found.chance, "tested": found.tested, "untested": found.untested})
+    rest = {name: getattr(found, name) for name in ("chance", "tested", "untested", "looked")}
+    return plain({"rows": rows, **rest})
 
 
 def missing_table(found: Missing) -> Table:
@@ -49,7 +50,11 @@ def rest(found: Missing) -> str:
         return f"what the model lacks was not looked for: {found.untested}"
     subject = "nothing else" if found.rows else "nothing"
     text = f"{subject} of {found.tested} causes explains more than chance"
-    return f"{text} ({numbers.percent(found.chance)})" if found.chance < 1.0 else text
+    text += f" ({numbers.percent(found.chance)})" if found.chance < 1.0 else ""
+    if found.looked == 1.0:
+        return text
+    where = f"the {numbers.percent(found.looked)} of the motion in which nothing touches"
+    return f"{text}; looked at: {where}, as the forces of contacts are the model's own"
 
 
 def repairs_record(tried: Sequence[Repair]) -> list[dict[str, Any]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,11 +17,12 @@ from amhe_cli.engine.inverse import forces_along
 from amhe_cli.estimation.core.result import Missing
 from amhe_cli.estimation.explain.candidate import CauseMaker
 from amhe_cli.estimation.explain.drives import drive_causes
-from amhe_cli.estimation.explain.explain import explain
+from amhe_cli.estimation.explain.explain import explain, forced
 from amhe_cli.estimation.explain.joints import joint_causes
 from amhe_cli.estimation.explain.regression import CauseColumns, Regression, blocks_of, memory_of
 from amhe_cli.estimation.explain.unexplained import unexplained
 from amhe_cli.estimation.offline.clips import whole
+from amhe_cli.report.missing import rest
 from amhe_cli.system.parameters.gear_friction import OWN as GEAR
 from tests.matching.test_efforts import PARAMETERS, recorded, system_of
 
@@ -131,6 +133,20 @@ def test_a_log_with_the_other_sign_is_named_with_what_the_data_cannot_tell_from_
     assert (first.kind, first.place) == ("joint sign", "hinge")
     assert first.share > 0.9
     assert "the log's command of servo has the other sign" in first.rivals
+
+
+@pytest.mark.medium
+def test_what_touches_is_not_looked_at_and_that_is_said(pendulum: tuple[amhe.System, amhe.Log]) -> None:
+    system, log = pendulum
+    model = copy.copy(system.model)
+    positions = next(s.values for c in system.channels if c.source == "qpos" for s in [log[c.key]])
+    angle = np.quantile(positions, 0.7)
+    model.jnt_limited[0], model.jnt_range[0] = True, (-10.0, angle)  # at its end in three tenths of the log
+    z, rng = np.zeros(len(system.space)), np.random.default_rng(0)
+    found = forced(replace(system, model=model), [whole(log)], z, rng, 0)
+    assert 0.1 < found.looked < 0.75
+    assert "of the motion in which nothing touches" in rest(found)
+    assert "nothing touches" not in rest(forced(system, [whole(log)], z, rng, 0))
 
 
 def test_degrees_are_named(pendulum: tuple[amhe.System, amhe.Log]) -> None:

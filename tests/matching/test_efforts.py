@@ -213,3 +213,16 @@ def test_both_count_each_look_at_a_log_half():
         assert 0.9 * min(sd.values()) < sd["both"] < 1.6 * min(sd["effort"], sd["motion"])
         assert found["both"][name].prior == pytest.approx(found["effort"][name].prior)
         assert found["both"][name].verdict == found["effort"][name].verdict
+
+
+def test_moments_that_are_free_one_by_one_stay_those_of_a_body():
+    """However far apart the values are: no effort is predicted for what cannot be."""
+    moments = {
+        f"i{axis}": {"targets": [{"set": "inertia", "body": "upper", "axis": axis}], "prior_sd": 0.3}
+        for axis in "xyz"
+    }
+    system = system_of(parameters=moments)
+    theta = np.array([[0.2, 0.002, 0.0002], [0.002, 0.2, 0.02], [0.02, 0.021, 0.002]])
+    written = system.edits.written(theta)["body_inertia"][:, 1]
+    assert (2.0 * written.max(axis=1) <= (1.0 + 1e-9) * written.sum(axis=1)).all()
+    assert written[2] == pytest.approx(theta[2])

@@ -348,6 +348,7 @@ class Missing:
         tested: Number of candidates.
         start, left: What the model, and what it and the rows leave of the accelerations, as a share.
         untested: Why nothing could be tested; '': it was.
+        looked: Share of the motion that was looked at: where nothing touches.
     """
 
     rows: tuple[MissingRow, ...] = ()
@@ -356,6 +357,7 @@ class Missing:
     start: float = 0.0
     left: float = 0.0
     untested: str = ""
+    looked: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

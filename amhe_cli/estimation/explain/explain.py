@@ -87,7 +87,7 @@ def _forced(
     """Regress what a system with some values does not explain on all causes; and the values' step."""
     found = looked_at(system, parts, z)
     if found is None or not found.stretches:
-        return Missing(untested="no motion was measured away from contacts"), 0.0 * z
+        return Missing(untested="no motion was measured where nothing touches"), 0.0 * z
     dofs, maker = list(found.motion.dofs), CauseMaker(system, found)
     tried = (*joint_causes(maker), *drive_causes(maker), *prior_causes(maker))
     candidates = [cause for cause in tried if cause.dofs]
@@ -125,7 +125,8 @@ def _forced(
         )
     moved = found.moved
     start, after = (float(np.mean((e**2).mean(axis=0) / moved)) for e in (made.left, left))
-    return Missing(tuple(rows), chance, len(candidates), start, after), fit
+    looked = 1.0 if found.counts is not None else float(found.rows.mean())  # contacts are in no effort
+    return Missing(tuple(rows), chance, len(candidates), start, after, looked=looked), fit
 
 
 def _model_alone(

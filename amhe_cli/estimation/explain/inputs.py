@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from functools import partial, reduce
 from itertools import combinations
 
@@ -20,6 +21,7 @@ from amhe_cli.engine.states import collides, controls
 from amhe_cli.estimation.explain.motion import DrivenMotion, motion_in
 from amhe_cli.estimation.explain.regression import LEVEL, SIGNS, blocks_of, memory_of
 from amhe_cli.estimation.explain.unexplained import accelerations, along, apart_in, direction, missing
+from amhe_cli.estimation.offline.clips import whole
 from amhe_cli.system.model.elements import dofs_of
 from amhe_cli.system.system import System
 
@@ -72,7 +74,8 @@ def mended(system: System, parts: Sequence[Window], rng: np.random.Generator) ->
     if not 0 < len(candidates) <= _MOST or (start := _left(system, part)) is None:
         return []
     blocks = blocks_of([slice(0, len(start))], memory_of(start[:, None], [slice(0, len(start))]))
-    start = _by_block(start, blocks)
+    edges = [block.start for block in blocks]  # they follow each other without a gap
+    start = np.add.reduceat(start, edges)
     signs = rng.choice([-1.0, 1.0], (SIGNS, len(start)))
     found, gains = [], []
     for one in candidates:
@@ -81,7 +84,7 @@ def mended(system: System, parts: Sequence[Window], rng: np.random.Generator) ->
             continue
         if left.mean() > 1.0:  # no better than a prediction that nothing accelerates
             continue
-        left = _by_block(left, blocks)
+        left = np.add.reduceat(left, edges)
         gain = start - left
         gains.append(gain / max(np.sqrt((gain**2).sum()), 1e-300))  # Student's t, but for a factor
         found.append(replace(one, share=1.0 - float(left.sum() / start.sum()), left=float(left.sum())))
@@ -137,11 +140,13 @@ def _all_in(unit: str, factor: float, columns: Sequence[tuple[str, int]]) -> Ite
         mends = [_scaled(key, {i: factor for of, i in columns if of == key}) for key in some]
         places = ", ".join(key.rpartition(".")[0] for key in some)
         text = f"every column of the log's {places} is in {unit}"
-        yield Mended("unit", places, text, lambda log, m=mends: reduce(_then, m, log), _KEYS[unit])
-
-
-def _then(log: Log, mend: Callable[[Log], Log]) -> Log:
-    return mend(log)
+        yield Mended(
+            "unit",
+            places,
+            text,
+            lambda log, m=mends: reduce(lambda log, mend: mend(log), m, log),
+            _KEYS[unit],
+        )
 
 
 def _scaled(key: str, factors: dict[int, float]) -> Callable[[Log], Log]:
@@ -206,5 +211,39 @@ def filtered_forces(system: System, motion: DrivenMotion, given: FloatArray) -> 
     return np.moveaxis(motion.filtered(np.stack(columns, axis=1)), 1, 0)
 
 
-def _by_block(values: FloatArray, blocks: Sequence[slice]) -> FloatArray:
-    return np.array([values[block].sum() for block in blocks])
+def first_look(
+    system: System, log: Log, columns: Sequence[str] = (), rng: np.random.Generator | None = None
+) -> Iterator[str]:
+    """Sentences about a log that was read for a system; what contradicts itself is said on reading it.
+
+    Args:
+        system: The system.
+        log: Its log.
+        columns: Columns of the log's table; empty for other formats.
+        rng: Generator of the signs of blocks; None: the same in each call.
+    """
+    model = system.model
+    place = controls(model, system.input_spec) or slice(0, 0)
+    given = {at - place.start for source in system.inputs for at in source.columns}
+    idle = [
+        model.actuator(row).name or f"actuator {row}"
+        for row in range(model.nactuator)
+        if int(model.actuator_ctrladr[row]) not in given and system.match != "effort"
+    ]
+    read = [name for signal in system.signals for names in signal.columns.values() for name in names]
+    read = [name.split("[")[0].split("{")[0] + "*" * ("{" in name) for name in read]  # patterns, roughly
+    left = [name for name in columns if not any(fnmatchcase(name.split("[")[0], one) for one in read)]
+    left = [name for name in left if read and not name.lower().startswith(("time", "stamp")) and name != "t"]
+    if idle:
+        yield f"{', '.join(idle)}: no command in the log; held at 0, it acts"
+    if left:
+        yield f"columns that no signal reads: {', '.join(left[:12])}{' ...' * (len(left) > 12)}"
+    for key, series in log.series.items():
+        names = next((s.names for s in system.signals if key.startswith(f"{s.name}.")), ())
+        values = series.values[series.valid]
+        still = np.flatnonzero(np.ptp(values, axis=0) == 0.0) if len(values) else []
+        for column in still if not series.derived else ():
+            name = names[column] if column < len(names) else f"number {column}"
+            yield f"{key} of {name} never changes: it is {values[0, column]:.4g} throughout"
+    for wrong in mended(system, [whole(log)], rng or np.random.default_rng(0))[:1]:
+        yield wrong.sentence
