@@ -55,16 +55,16 @@ def test_the_choices_are_those_of_the_library() -> None:
 @pytest.mark.slow
 def test_a_robot_is_checked_without_moving_then_runs_and_its_log_is_identified(capsys, monkeypatch) -> None:
     pytest.importorskip("natnet")
-    with emulating("--set", "go1.slow=4") as emulated:
-        assert run([*at(emulated, slow=4), "--dry-run"]) == 0
+    with emulating("--set", "go1.slow=3") as emulated:
+        assert run([*at(emulated, slow=3), "--dry-run"]) == 0
         assert "nothing has moved" in capsys.readouterr().out
         assert list(Path().iterdir()) == []
-        assert run([*at(emulated, slow=4), "--duration", "4", "-o", "out"]) == 0, capsys.readouterr().err
+        assert run([*at(emulated, slow=3), "--duration", "3", "-o", "out"]) == 0, capsys.readouterr().err
     assert run([*ROBOT[:3], "--duration", "0.1", "-o", "sim", *QUICK]) == 0
     record = json.loads(Path("out/result.json").read_text())
     assert (record["target"], record["fell"], record["truth"]) == ("go1", False, {})
     assert record["link"]["trip"] == ""
-    assert record["link"]["slow"] == 4.0
+    assert record["link"]["slow"] == 3.0
     assert record["link"]["packets"]["packets"] > 500
     assert read_metadata(Path("out/log.mcap"))["target"] == "go1"
     real, simulated = survey(Path("out/log.mcap")), survey(Path("sim/log.mcap"))

@@ -69,7 +69,10 @@ def read_robot(path: Path) -> RobotFile:
     if not path.is_file():
         raise ConfigError(f"no robot model {str(path)!r}; give the MJCF of a Go1")
     spec = read_spec(path)
-    _collide_by_masks(spec)
+    listed = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
+    for geom in spec.geoms:
+        if geom.name in listed:  # they touch by the file's contact pairs, which are left out
+            geom.conaffinity = 1
     for kind in _LEFT_OUT:
         for element in list(getattr(spec, kind)):
             spec.delete(element)
@@ -124,14 +127,6 @@ def _root(spec: mujoco.MjSpec, joint: str, file: str) -> str:
     elif [joint.type for joint in root.joints] != [mujoco.mjtJoint.mjJNT_FREE]:
         raise ConfigError(f"{file}: body {root.name!r} must move by one free joint, or be without joints")
     return root.name
-
-
-def _collide_by_masks(spec: mujoco.MjSpec) -> None:
-    """Let geoms that a file lists in contact pairs touch other geoms too."""
-    listed = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
-    for geom in spec.geoms:
-        if geom.name in listed:
-            geom.conaffinity = 1
 
 
 def _expected() -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -282,9 +277,11 @@ def _add_robot(spec: mujoco.MjSpec, robot: RobotFile, self_collisions: bool) -> 
     """Attach the robot, and give its trunk and joints our names."""
     _take_options(robot.spec, spec)
     root = spec.worldbody.add_frame().attach_body(robot.spec.body(robot.root), _PREFIX, "")
-    own_name, root.name = root.name, "trunk"
-    root.joints[0].name = "trunk"
-    _rename_body(spec, own_name, "trunk")
+    for exclude in spec.excludes:  # MuJoCo refers to bodies by name
+        for end in ("bodyname1", "bodyname2"):
+            if getattr(exclude, end) == root.name:
+                setattr(exclude, end, "trunk")
+    root.name = root.joints[0].name = "trunk"
     for name, own in zip(JOINTS, robot.joints, strict=True):
         spec.joint(_PREFIX + own).name = name
     for index, geom in enumerate(_robot_geoms(spec)):
@@ -300,14 +297,6 @@ def _take_options(spec: mujoco.MjSpec, ours: mujoco.MjSpec) -> None:
         setattr(spec.option, name, getattr(ours.option, name))
     for name in ("memory", "nconmax", "njmax", "nstack"):
         setattr(spec, name, getattr(ours, name))
-
-
-def _rename_body(spec: mujoco.MjSpec, old: str, new: str) -> None:
-    """Rename a body; MuJoCo refers to bodies by name, so excluded contacts are renamed with it."""
-    for exclude in spec.excludes:
-        for field in ("bodyname1", "bodyname2"):
-            if getattr(exclude, field) == old:
-                setattr(exclude, field, new)
 
 
 def _robot_geoms(spec: mujoco.MjSpec) -> list[mujoco.MjsGeom]:

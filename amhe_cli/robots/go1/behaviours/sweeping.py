@@ -101,7 +101,11 @@ def stand_on_three(
     load = np.ones((*batch, 4))
     load[..., FREE] = 1.0 - shifted
     height = gait.height + places[..., FREE, 2]
-    forces = _forces(gait, seen, load, np.broadcast_to(push, (*batch, 2)), height)
+    push = np.broadcast_to(push, (*batch, 2))
+    forces = ground_forces(gait, seen, load, push, height)
+    # three feet carry the robot and push back on the floor; the free one has the push upon it
+    free = load[..., FREE] == 0.0
+    forces[..., FREE, :2] = np.where(free[..., None], -push, forces[..., FREE, :2])
     contact = np.ones((*batch, 4), dtype=np.bool_)
     contact[..., FREE] = np.broadcast_to(time < tripod.shift_time, batch)
     return leg_targets(gait, feet, np.zeros_like(feet), forces, contact)
@@ -118,16 +122,6 @@ def support_margin(planted: FloatArray, trunk: FloatArray) -> float:
     along = (front - rear) / np.linalg.norm(front - rear)
     place = np.asarray(trunk)[:2] - rear
     return float(along[0] * place[1] - along[1] * place[0])
-
-
-def _forces(
-    gait: Gait, feet: FloatArray, load: FloatArray, push: FloatArray, height: FloatArray
-) -> FloatArray:
-    """Three feet carry the robot and push back on the floor; the free one has the push upon it."""
-    forces = ground_forces(gait, feet, load, push, height)
-    free = load[..., FREE] == 0.0
-    forces[..., FREE, :2] = np.where(free[..., None], -push, forces[..., FREE, :2])
-    return forces
 
 
 def _from_trunk(places: FloatArray, moved: FloatArray, turn: FloatArray) -> FloatArray:

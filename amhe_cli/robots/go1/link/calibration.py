@@ -93,12 +93,14 @@ class Calibration(Opened):
         seen, states = self._look(s.trunk, seconds)
         trunk, tilt = _lying(states)
         check_pivot(seen, trunk, _TRUNK, s.trunk)
-        x, y = self._box.position
+        (x, y), yaw = self._box.position, self._box.yaw
+        turned = f", turned by {np.rad2deg(yaw):.0f} degrees" if yaw else ""
         ask(
             f"put the box down with its centre at x = {x:.2f} m, y = {y:.2f} m of motion capture, its faces "
-            f"along the axes{_turned(self._box.yaw)}"
+            f"along the axes{turned}"
         )
-        (box, _), there = self._look(s.box, seconds), _standing(self._box)
+        box, _ = self._look(s.box, seconds)
+        there = np.array([x, y, 0.5 * self._box.size[2]]), exp(np.array([0.0, 0.0, yaw]))
         check_pivot(box, there, np.array(self._box.size), s.box)
         return Offsets(offset_of(seen, trunk), offset_of(box, there), float(trunk[0][2]), tilt)
 
@@ -125,7 +127,8 @@ def _lying(states: Sequence[Any]) -> tuple[Pose, float]:
 
     The means of all states: the lowest point of a single noisy one is lower than that of the robot.
     """
-    imu = _level_heading(mean([state["quaternion"] for state in states]))
+    imu = mean([state["quaternion"] for state in states])
+    imu = multiply(exp(np.array([0.0, 0.0, -float(yaw_of(imu))])), imu)
     tilt = float(np.arccos(np.clip(up(imu)[2], -1.0, 1.0)))
     if tilt > _LEVEL:
         raise PoseError(
@@ -136,20 +139,6 @@ def _lying(states: Sequence[Any]) -> tuple[Pose, float]:
     if height > _LYING:
         raise PoseError(f"by its joints the trunk is {height:.2f} m over the floor: let the robot lie")
     return (np.array([0.0, 0.0, height]), imu), tilt
-
-
-def _level_heading(turn: FloatArray) -> FloatArray:
-    """An orientation (4,) turned about the vertical until it heads along x."""
-    return multiply(exp(np.array([0.0, 0.0, -float(yaw_of(turn))])), turn)
-
-
-def _standing(box: Box) -> Pose:
-    place = np.array([*box.position, 0.5 * box.size[2]])
-    return place, exp(np.array([0.0, 0.0, box.yaw]))
-
-
-def _turned(yaw: float) -> str:
-    return f", turned by {np.rad2deg(yaw):.0f} degrees" if yaw else ""
 
 
 def average(poses: Sequence[Pose], of: str) -> Pose:

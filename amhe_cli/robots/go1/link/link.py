@@ -183,7 +183,9 @@ class Link(Opened):
         Raises:
             LinkError: It does not; the text says what arrived instead.
         """
-        self._wait_for_sender()
+        end = time.monotonic() + _START
+        while not (self.report.contact or self.report.reason) and time.monotonic() < end:
+            time.sleep(_STEP)  # the process has not begun yet
         end = time.monotonic() + self._settings.connect_time * max(1.0, self._clock.slow)
         while time.monotonic() < end:
             report = self.report
@@ -236,10 +238,6 @@ class Link(Opened):
         """States that arrived since the last call, as records of `mail.SAMPLE`."""
         return self._watch.samples() if self._watch else []
 
-    def stop(self) -> None:
-        """Damp the motors now."""
-        self._send(stop="asked to stop")
-
     def finish(self) -> SenderReport:
         """Let the robot sit down and switch its motors off; wait until this is done."""
         s = self._settings
@@ -251,11 +249,6 @@ class Link(Opened):
         return self.report
 
     # -- the pipe ----------------------------------------------------------------------------------
-
-    def _wait_for_sender(self) -> None:
-        end = time.monotonic() + _START
-        while not (self.report.contact or self.report.reason) and time.monotonic() < end:
-            time.sleep(_STEP)
 
     def _send(self, **news: Any) -> None:
         """Fields of the sender's `Inbox`."""

@@ -165,17 +165,12 @@ class _Sender:
         return f"its stamp is {ahead:.3g} s ahead of the ones before" if self._strange else ""
 
 
-def _end_with_the_program() -> None:
-    """Have this process killed when the program ends: a source that waits for ever does not notice it."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-
-
 def main() -> None:
     """Send poses to the program until it closes the pipe."""
     for number in (signal.SIGINT, signal.SIGTERM):  # meant for the program, which needs poses to sit down
         signal.signal(number, signal.SIG_IGN)
-    _end_with_the_program()
+    if sys.platform == "linux":  # a source that waits for ever does not notice that the program has ended
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     pipe, given = begun()
     sender, source = _Sender(pipe, Clock(given[-1].slow)), _source_of(*given)
     realtime = take_priority(POSES)  # a late pose looks like a lost one

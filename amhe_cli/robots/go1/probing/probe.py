@@ -61,10 +61,6 @@ class Go1OnLink:
 _SHORTEST, _REHEARSED = 1.0, 3.0
 
 
-def _nobody(*_: object) -> AbstractContextManager[None]:
-    return nullcontext()
-
-
 class PushProbe:
     """See `probe.Probe`.
 
@@ -227,7 +223,7 @@ class PushProbe:
         path: Path,
         stopped: Callable[[], bool] = lambda: False,
         say: Say = lambda text: None,
-        attend: Attend = _nobody,
+        attend: Attend = lambda *_: nullcontext(),
     ) -> Ending:
         """Run to the end and record; a fall is an end too."""
         history = History(run.task, compares=False)

@@ -223,7 +223,7 @@ def test_a_fault_during_the_run_stops_it_and_says_why(puppet: Puppet, lost: str)
                 plan = Plan(time + PERIOD, PERIOD, np.tile(HOME, (16, 1)))
                 time, _ = exchange(target, plan)
         if target.stop is None:
-            target._link.stop()
+            target._link._send(stop="asked to stop")
         puppet.wait(damps)
 
 

@@ -201,7 +201,7 @@ def test_an_operator_who_stops(puppet: Puppet, how: str) -> None:
         terminal.send(b"\n")
         wait_for(link, Phase.RUN)
         if how == "stop":
-            link.stop()
+            link._send(stop="asked to stop")
         elif how == "key":
             terminal.send(b" ")
         else:
