@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from amhe_cli.api.identify import Interrupted, Result, identify
     from amhe_cli.api.pool import pool
     from amhe_cli.api.repair import repair
-    from amhe_cli.api.runs import probe, run
-    from amhe_cli.api.show import show
+    from amhe_cli.api.runs import probe, run, show
     from amhe_cli.core.belief import Belief
     from amhe_cli.core.errors import AmheError
     from amhe_cli.core.limits import limit
@@ -51,7 +50,7 @@ _HOMES = {
     "read_log": "amhe_cli.logs.read",
     "repair": "amhe_cli.api.repair",
     "run": "amhe_cli.api.runs",
-    "show": "amhe_cli.api.show",
+    "show": "amhe_cli.api.runs",
 }
 
 __all__ = [

@@ -14,8 +14,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import amhe_cli as amhe
-from amhe_cli.api.show import SavedView
 from amhe_cli.core.belief import belief_of
+from amhe_cli.core.shown import SavedView
 from amhe_cli.logs import read_metadata
 
 DOCS = Path(__file__).parent

@@ -1,4 +1,4 @@
-"""Two model files: which numbers differ, and by how much that matters."""
+"""A model file against another one, or against what an identification found."""
 
 from __future__ import annotations
 
@@ -7,10 +7,18 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from amhe_cli.audit.audit import VERDICTS, Line, in_order
+from amhe_cli.audit.claims import sheet_of
+from amhe_cli.audit.judge import chances, contradicted
 from amhe_cli.audit.weight import anywhere, weights
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.belief import Belief
+from amhe_cli.core.parameters import theta_of
+from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.init.names import matched
 from amhe_cli.system.model.elements import driven_joint, names_of
 from amhe_cli.system.numbers import ModelNumber, numbers_of, shape_of
+from amhe_cli.system.system import System
 
 #: Share from which two numbers differ: files are written with three digits or more.
 _SAME = 2e-3
@@ -110,3 +118,56 @@ def _named(model: mujoco.MjModel, kind: str) -> list[str]:
     if kind != "body":
         return names
     return [n for n in names if model.body_weldid[model.body(n).id] and model.body(n).mass[0] > 0.0]
+
+
+#: Step of a parameter for its slope, in its sd.
+_STEP = 0.1
+
+
+def held_against(system: System, belief: Belief, file: mujoco.MjModel) -> list[Line]:
+    """The numbers of a file that the parameters of a result set, and whether the result contradicts them.
+
+    Args:
+        system: The system of the result.
+        belief: What it found.
+        file: The model of the file; names are matched as between two files.
+    """
+    space = system.space.with_prior(belief)
+    model = system.edits.apply(system.model, space.nominal)
+    theirs = {(n.kind, n.of, n.what): n for n in numbers_of(model)}
+    pairs, rows, others = partners(file, model)[0], list[tuple[ModelNumber, FloatArray]](), []
+    for number in numbers_of(file):
+        own = theirs.get((number.kind, pairs[number.element].get(number.of, ""), number.what))
+        share = sheet_of(number.kind, AssumedSettings())
+        if own is None or not share:
+            continue
+        slope, said = _slope(system, space.nominal, own), number.value(file)
+        sd = float(np.sqrt(slope @ belief.covariance @ slope))
+        if sd > 0.0:
+            sheet = share * (1.0 if number.kind == "center_of_mass" else abs(said))
+            rows.append((number, np.array([own.value(model), said, sd, sheet])))
+            others.append(own.written(model, number.values(file)))
+    log, said, sd, sheet = np.array([row for _, row in rows]).reshape(-1, 4).T
+    t = (log - said) / np.sqrt(sd**2 + sheet**2)
+    chance, told = chances(t), sd <= np.maximum(sheet, 1e-12)
+    verdicts = np.where(contradicted(chance), VERDICTS[0], np.where(told, VERDICTS[1], VERDICTS[2])).tolist()
+    worth = weights(model, others, anywhere(model))
+    columns = (said, log, sd, t, chance)
+    return in_order(
+        Line(n.of, n.what, n.unit, "", *(float(one[i]) for one in columns), verdicts[i], worth[i], "")
+        for i, (n, _) in enumerate(rows)
+    )
+
+
+def _slope(system: System, theta: FloatArray, number: ModelNumber) -> FloatArray:
+    """Derivative of a number by the parameters on their own scales, shape (d,)."""
+    space, slope = system.space, np.zeros(len(theta))
+    for i, p in enumerate(space.parameters):
+        step = _STEP * p.prior_sd
+        ends = []
+        for way in (-step, step):
+            phi = space.phi_of(theta)
+            phi[i] += way
+            ends.append(number.value(system.edits.apply(system.model, theta_of(space.log, phi))))
+        slope[i] = (ends[1] - ends[0]) / (2.0 * step)
+    return slope

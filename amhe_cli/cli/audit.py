@@ -77,7 +77,7 @@ def _files(session: Session, one: Path, other: Path) -> None:
 
 def _result(session: Session, folder: Path, vendor: Path) -> None:
     """Print what a file says against what a result found."""
-    from amhe_cli.audit.result import held_against
+    from amhe_cli.audit.files import held_against
     from amhe_cli.cli.viewed import system_of_result
     from amhe_cli.core.belief import Belief
     from amhe_cli.system.model.files import compiled, read_spec

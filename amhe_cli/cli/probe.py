@@ -73,7 +73,7 @@ def probe(session: Session, given: Given) -> None:
     from amhe_cli.cli.progress import progress
     from amhe_cli.core.files import filling, json_text, plain
     from amhe_cli.estimation.design.design import known_record, plan_record
-    from amhe_cli.estimation.design.files import log_name
+    from amhe_cli.estimation.design.playback import log_name
     from amhe_cli.estimation.design.probe import ActuatorProbe, ProbeOptions
     from amhe_cli.report.check import said_before
     from amhe_cli.report.probe import print_achieved, print_plan

@@ -153,7 +153,7 @@ def watch(session: Session, given: Given) -> None:
 
 def _audit(system: System, vendor: Path | str) -> Callable[[Belief], list[Line]]:
     """What holds the numbers of a model file against a belief."""
-    from amhe_cli.audit.result import held_against
+    from amhe_cli.audit.files import held_against
     from amhe_cli.cli.inputs import model_file, urdf_options
     from amhe_cli.system.model.files import compiled, read_spec
 

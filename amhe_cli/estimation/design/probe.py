@@ -25,14 +25,13 @@ from amhe_cli.core.settings import Settings
 from amhe_cli.engine.bounds import Bounds, Broken, home_within
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.design.design import Accuracy, ProbePlan, accuracy, criterion, ensemble, parts_of
-from amhe_cli.estimation.design.files import Excitation, write_log
 from amhe_cli.estimation.design.information import (
     active_in,
     clips_of,
     information_at,
     information_where_it_points,
 )
-from amhe_cli.estimation.design.playback import Playback
+from amhe_cli.estimation.design.playback import Excitation, Playback, write_log
 from amhe_cli.estimation.design.recipes import Recipe, driven_controls, leeway_of, plain, recipes
 from amhe_cli.logs import read_log
 from amhe_cli.logs.messages.writer import message_type
