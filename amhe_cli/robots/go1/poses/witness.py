@@ -40,6 +40,8 @@ _SLIP, _OFFSET = 0.015, 0.001
 #: Cameras show nothing as still as this [m] for 0.2 s; legs that have moved the trunk by that [m] deny it.
 #: Those of a simulated robot that stands wander by 1.0 mm in the longest time [s] that counts.
 _STILL, _MOVED, _LONGEST = 1e-5, 0.0012, 0.5
+#: Cameras whose noise never was below this many times that [m], for so long [s], are not suddenly so still.
+_RESTLESS, _KNOWN = 20.0, 1.0
 #: How well the distance of robot and box is known [m], sd, and what the robot does not touch is further away
 #: than that.
 _FACE, _UNTOUCHED = 0.0035, 0.05
@@ -78,6 +80,7 @@ class Witness:
         self._felt: deque[_Felt] = deque(maxlen=_KEPT)
         self._seen: dict[str, deque[Seen]] = {name: deque(maxlen=_KEPT) for name in self._names}
         self._gaps: deque[tuple[float, float]] = deque(maxlen=_KEPT)
+        self._stir, self._stirred_since = np.inf, np.inf
 
     def feel(self, robot: Any) -> None:
         """Take in states of the robot, in the order of time: fields of `mail.SAMPLE`, shape (m,)."""
@@ -131,19 +134,30 @@ class Witness:
         return seen if len(seen) >= _LEAST and seen[-1].time - seen[0].time > 0.8 * longest else []
 
     def _frozen(self) -> str:
-        """That the trunk stands still in the cameras while its legs move it, in words."""
+        """That cameras show the trunk stiller than they ever did, or than its legs say, in words."""
         seen = self._seen[self._names[0]]
         if not seen:
             return ""
         last = seen[-1].position
         still = [*takewhile(lambda one: np.abs(one.position - last).max() < _STILL, reversed(seen))]
         if still[0].time - still[-1].time < 2.0 * _BRIEF:
+            self._learn_noise(seen)
             return ""
+        if self._stir > _RESTLESS * _STILL and still[-1].time - self._stirred_since > _KNOWN:
+            return f"the poses of {self._names[0]!r} froze: its cameras were never so still"
         since = max(still[-1].time, still[0].time - _LONGEST)
         ways = [one.place for one in self._felt if since <= one.time <= still[0].time]
         if len(ways) < _LEAST or np.linalg.norm(np.ptp(ways, axis=0)) < _MOVED:
             return ""
         return f"cameras and legs contradict each other: {self._names[0]!r} stands still, or its poses froze"
+
+    def _learn_noise(self, seen: deque[Seen]) -> None:
+        """Remember the least noise of the cameras so far, over longer than a freeze takes."""
+        last = seen[-1]
+        brief = [one.position for one in seen if one.time > last.time - 3.0 * _BRIEF]
+        if len(brief) >= _LEAST and last.time - seen[0].time > 3.0 * _BRIEF:
+            self._stir = min(self._stir, _noise(np.array(brief)))
+            self._stirred_since = min(self._stirred_since, last.time)
 
     def _astray(self) -> str:
         """How the trunk's way in the cameras contradicts its legs, in words."""
