@@ -1,9 +1,11 @@
 """How long a silence may be filled."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
-from amhe_cli.core.resample import longest_bridge, resample
+from amhe_cli.core.resample import derivative, longest_bridge, resample
 
 
 def test_a_latched_command_stays_in_force():
@@ -45,3 +47,23 @@ def test_samples_at_each_instant_of_the_clock_are_taken_over_as_they_are(hold: b
     np.testing.assert_array_equal(series.values, values[7:30])
     assert series.valid.all() and series.sampled.all()
     assert not np.shares_memory(series.values, values)
+
+
+def test_long_logs_are_differentiated_in_parts_to_the_same_numbers(monkeypatch) -> None:
+    rng = np.random.default_rng(0)
+    stamps = np.array(np.cumsum(rng.uniform(0.001, 0.004, 4000)), dtype=np.float64)
+    stamps[2000:] += 3.0  # a silence
+    values = rng.standard_normal((4000, 12)).cumsum(axis=0)
+
+    def found() -> tuple[np.ndarray, int]:
+        tracemalloc.start()
+        slopes = derivative(stamps, values, 0.1)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return slopes, peak
+
+    whole, peak = found()
+    monkeypatch.setattr("amhe_cli.core.resample._ROWS", 300)
+    parts, less = found()
+    np.testing.assert_array_equal(parts, whole)
+    assert less < 0.6 * peak

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.engine.rollout import Starts
-from amhe_cli.engine.states import first_activations, integrated
+from amhe_cli.engine.states import contact_forces, first_activations, integrated
 from amhe_cli.system.system import System
 
 
@@ -49,3 +49,32 @@ def test_filters_and_slews_start_at_their_command_and_what_else_has_a_state_at_z
     controls = np.array([[0.7, 0.1, 0.2, 0.3, 0.4], [0.0, 0.0, 0.0, 0.0, 0.0]])
     found = first_activations(model, np.array([[0.3], [0.0]]), controls)
     np.testing.assert_allclose(found, [[0.5, 0.6, 0.2, 0.0, 0.0], [0.0] * 5])
+
+
+WORLD = """<mujoco><option timestep="0.002"/><worldbody>
+  <body name="upper" pos="0 0 0.5"><freejoint/><geom type="sphere" size="0.1" mass="1"/></body>
+  <body name="lower" pos="0.3 0 0.2"><freejoint/><geom type="box" size="0.5 0.5 0.2" mass="4"/></body>
+  <geom type="plane" size="3 3 0.1"/>
+  </worldbody></mujoco>"""
+
+
+def test_a_ball_on_a_box_on_the_floor_presses_with_its_weight() -> None:
+    model = mujoco.MjModel.from_xml_string(WORLD)
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, 800)
+    mujoco.mj_forward(model, data)
+    forces = contact_forces(model, data)
+    floor, between = forces[np.argsort(-np.abs(forces[:, 5]))]
+    assert floor[3:] == pytest.approx([0.0, 0.0, 5.0 * 9.81], abs=0.1)  # on the box, which the floor carries
+    # the centre of pressure: moments about the box's centre balance
+    assert floor[:3] == pytest.approx([0.3 - 0.3 * 1.0 / 5.0, 0.0, 0.0], abs=0.01)
+    # the box is the second of the two: the ball presses it down
+    assert between[3:] == pytest.approx([0.0, 0.0, -9.81], abs=0.1)
+    assert between[:3] == pytest.approx([0.0, 0.0, 0.4], abs=0.01)
+
+
+def test_nothing_touches_in_the_air() -> None:
+    model = mujoco.MjModel.from_xml_string(WORLD.replace("0.3 0 0.2", "0 0 1"))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert contact_forces(model, data).shape == (0, 6)
