@@ -1,7 +1,7 @@
 """Make docs/gallery/ and the pictures of the tutorial: `python docs/make_gallery.py FOLDER`, with Chromium.
 
 docs/gallery/ has pages of results to look at without an install. FOLDER keeps the results between runs; those
-that are missing are made, in a minute.
+that are missing are made, in some minutes.
 """
 
 from __future__ import annotations
@@ -23,9 +23,13 @@ RESULTS = {
         ("init", "example:arm", "example:arm", "--actuators", "-o", "arm-system", "--force"),
         ("identify", "example:arm", "--system", "arm-system", "-o", "arm"),
     ],
+    "go1": [
+        ("identify", "example:t1", "-o", "go1"),
+        ("view", "go1", "-o", "go1/view.html", "--force"),  # without a link to a report, which is not kept
+    ],
 }
-#: Results whose pages are kept.
-KEPT = ("pendulum", "arm")
+#: Results whose pages are kept: small ones, and the view of a larger one.
+KEPT = {"pendulum": ("report", "view"), "arm": ("report", "view"), "go1": ("view",)}
 #: Picture -> page, the part of it that is shown, height.
 PICTURES = {
     "arm-found": ("arm/report.html", "parameters", 820),
@@ -48,10 +52,10 @@ def main() -> None:
             for command in commands:
                 subprocess.run([sys.executable, "-m", "amhe_cli", *command], cwd=folder, check=True)
     (DOCS / "gallery").mkdir(exist_ok=True)
-    for name in KEPT:
-        for page in ("report", "view"):
+    for name, pages in KEPT.items():
+        for page in pages:
             text = (folder / name / f"{page}.html").read_text(encoding="utf-8")
-            for other in ("report", "view"):
+            for other in pages:
                 text = text.replace(f'"{other}.html', f'"{name}-{other}.html')
             text = text.replace(f"{DOCS.resolve().parent}/", "")  # no path of the computer that made them
             (DOCS / "gallery" / f"{name}-{page}.html").write_text(text, encoding="utf-8")

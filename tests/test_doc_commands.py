@@ -109,6 +109,8 @@ def quick(patch: pytest.MonkeyPatch) -> None:
     patch.setenv("AMHE_PROBE__CANDIDATES", "4")
 
 
+#: Command -> options that let it take little time.
+LITTLE = {"amhe identify": ["--max-time", "2"], "amhe audit example:": ["--to", "3"]}
 RUN = [page for page in user_pages() if list(commands(page.read_text(encoding="utf-8"), "sh"))]
 
 
@@ -126,5 +128,5 @@ def test_the_commands_of_a_page_run_in_their_order(
     for line in commands(text, "sh"):
         if any(words in f"{line}  " for words in ELSEWHERE):
             continue
-        little = ["--max-time", "2"] if line.startswith("amhe identify") else []
+        little = next((options for start, options in LITTLE.items() if line.startswith(start)), [])
         assert run([*shlex.split(line)[1:], *little]) == 0, f"{line}\n{capsys.readouterr().err}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,6 +17,8 @@ from amhe_cli.view.shapes import Shape, boxed, shape_of
 
 #: Groups of geoms that are shown, as in MuJoCo's own viewers; the others hold collision shapes.
 _SHOWN = (0, 1, 2)
+#: Colour of what has none.
+_PLAIN = (0.45, 0.5, 0.58, 1.0)
 #: Triangles of all meshes of a scene together.
 _TRIANGLES = 24_000
 
@@ -129,7 +131,21 @@ def scene_of(system: System, more: Sequence[Geom] = (), most: int = _TRIANGLES) 
     drawn = [body for body in moving if body in {int(model.geom_bodyid[g]) for g in shown}]
     each = most // max(1, sum(int(model.geom_dataid[g]) >= 0 for g in shown))
     geoms = [found for g in shown if (found := _geom(model, g, drawn, each)) is not None]
+    if not drawn:
+        drawn, geoms = moving, [*geoms, *_rods(model, moving)]
     return Scene(system, tuple(drawn), (*geoms, *more))
+
+
+def _rods(model: mujoco.MjModel, bodies: Sequence[int]) -> Iterator[Geom]:
+    """Rods to the centre of mass and to the next joints, for a model that has no shapes at all."""
+    for row, body in enumerate(bodies):
+        following = np.flatnonzero(model.body_parentid == body)
+        for end in (model.body_ipos[body], *model.body_pos[following]):
+            if (far := float(np.linalg.norm(end))) > 0.0:
+                turn = np.empty(4)
+                mujoco.mju_quatZ2Vec(turn, end)
+                shape = boxed((0.05 * far, 0.05 * far, 0.5 * far))
+                yield Geom(row, shape, np.concatenate((0.5 * end, turn)), _PLAIN, False)
 
 
 def plate(place: FloatArray, half: tuple[float, float], yaw: float, color: Sequence[float]) -> Geom:

@@ -1,5 +1,6 @@
 """Bundled logs by name, from any folder; the README's demo."""
 
+import json
 import re
 from pathlib import Path
 
@@ -27,12 +28,12 @@ def numbers(text: str) -> list[tuple[float, float]]:
     return [(value, 10.0 ** -len(decimals)) for value, decimals in zip(values, found, strict=True)]
 
 
-@pytest.mark.slow
-def test_the_demo_prints_what_the_readme_shows(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+@pytest.mark.medium
+def test_the_example_prints_what_the_readme_shows(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     readme = (MODELS.parent / "README.md").read_text(encoding="utf-8")
-    _, _, shown = readme.partition("-o amhe-out/demo --force\n")
+    _, _, shown = readme.partition("$ amhe identify example:pendulum\n")
     shown, _, _ = shown.partition("\nreport: ")
-    assert run(["identify", "example:t1", "-o", str(tmp_path / "out")]) == 0
+    assert run(["identify", "example:pendulum", "-o", str(tmp_path / "out")]) == 0
     printed, _, _ = capsys.readouterr().out.partition("\nreport: ")
     words = [re.sub(r"\d+(\.\d+)?", "#", " ".join(text.split())) for text in (printed, shown)]
     assert words[0] == words[1]
@@ -40,3 +41,15 @@ def test_the_demo_prints_what_the_readme_shows(tmp_path: Path, capsys: pytest.Ca
         assert value == pytest.approx(
             expected, abs=2.01 * unit
         )  # on another processor the last digits differ
+
+
+@pytest.mark.slow
+def test_half_of_the_demos_log_identifies_the_box(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert run(["identify", "example:t1", "--to", "7", "-o", str(out), "-q"]) == 0
+    found = json.loads((out / "result.json").read_text())
+    known = {p["name"]: p for p in found["parameters"]}
+    assert found["truth"] == {"box_mass": 4.0, "box_inertia_scale": 1.0, "floor_friction": 0.6}
+    assert all(known[name]["lower"] < value < known[name]["upper"] for name, value in found["truth"].items())
+    assert known["box_mass"]["shrinkage"] > 0.75 and known["floor_friction"]["shrinkage"] > 0.75
+    assert found["held_out"]["cost"] < 0.3 * found["held_out"]["initial_cost"]

@@ -261,3 +261,19 @@ def test_names_from_a_log_cannot_end_the_script(shown: Viewing) -> None:
     page = saved_page(replace(shown, recordings=(evil,)), Heading("<b>"))
     assert "alert(1)</script>" not in page
     assert "<b>" not in page.partition("<style>")[0]
+
+
+def test_a_model_without_shapes_is_drawn_as_rods() -> None:
+    model = """<mujoco><worldbody><body name="upper"><joint name="a"/>
+      <inertial pos="0 0 -.2" mass="1" diaginertia="1 1 1"/><body name="lower" pos="0 0 -.3"><joint name="b"/>
+      <inertial pos="0 0 -.1" mass="1" diaginertia="1 1 1"/></body></body></worldbody></mujoco>"""
+    system = amhe.System.from_model(
+        mujoco.MjSpec.from_string(model),
+        parameters={"damping": {"nominal": 0.1, "targets": [{"joint": "a", "set": "damping"}]}},
+        signals={"joints": {"joints": ["a", "b"], "noise": {"position": 0.01}}},
+        warn=False,
+    )
+    scene = scene_of(system)
+    assert scene.names == ["upper", "lower"]
+    lengths = [(geom.body, np.ptp(geom.shape.vertices[:, 2])) for geom in scene.geoms]
+    assert lengths == [(0, pytest.approx(0.2)), (0, pytest.approx(0.3)), (1, pytest.approx(0.1))]
