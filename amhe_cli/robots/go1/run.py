@@ -162,7 +162,7 @@ class RunOptions:
         seed: Seed of start poses, sensor noise and sampling.
         threads: Threads of the rollouts; the outcome does not depend on them.
         duration: Longest duration of the episode [s].
-        plant: Another Go1: a name of `plants.PLANTS`, or its MJCF.
+        plant: Another Go1: a name of `plant.PLANTS`, or its MJCF.
         settings: Settings that replace the system's own, as a nested mapping.
         belief_anyway: Take a belief about another model too, and only warn of what has changed.
         engine: What computes the rollouts: one of `engine.open.KINDS`.

@@ -199,7 +199,7 @@ def encode_command(command: MotorCommand, crc: CrcForm = "plain") -> bytes:
 def decode_command(datagram: bytes) -> MotorCommand:
     """The command in a packet, with either form of checksum, as the robot reads it.
 
-    The packet has a mode for each motor; that of the first stands for all, as `encode` writes it.
+    The packet has a mode for each motor; that of the first stands for all, as `encode_command` writes it.
 
     Raises:
         PacketError: The datagram is not a command.

@@ -102,7 +102,7 @@ _STEP = 0.002
 
 
 class NatNet:
-    """See `source.PoseSource`.
+    """See `PoseSource`.
 
     Args:
         host: Host of Motive.
@@ -261,7 +261,7 @@ def read_pose(message: bytes) -> Sighting | None:
 
 
 class UdpPoses:
-    """See `source.PoseSource`.
+    """See `PoseSource`.
 
     Args:
         host: Address of this computer to listen on.
@@ -323,7 +323,7 @@ KINDS = ("vicon", "vrpn", "qualisys", "optitrack", "mock")
 
 
 class MotionCapture:
-    """See `source.PoseSource`.
+    """See `PoseSource`.
 
     Args:
         kind: One of `KINDS`.
