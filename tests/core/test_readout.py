@@ -1,4 +1,4 @@
-"""Spikes and repeats are left out; impacts, commands and slow motions are not."""
+"""Spikes and repeats are left out, impacts and slow motions are not; gaps and smoothing of signals."""
 
 from __future__ import annotations
 

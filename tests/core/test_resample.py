@@ -1,4 +1,4 @@
-"""How long a silence may be filled."""
+"""How long a silence may be filled, and slopes of long logs."""
 
 import tracemalloc
 

@@ -1,4 +1,4 @@
-"""First states and inputs: steps in the tangent space, and commands that act late."""
+"""First states and inputs: steps in the tangent space, commands that act late; forces of contacts."""
 
 import mujoco
 import numpy as np

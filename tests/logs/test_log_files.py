@@ -1,4 +1,4 @@
-"""Odd files: foreign, incomplete, misnamed, hostile; surveys; the writer; real logs."""
+"""Odd files: foreign, incomplete, misnamed, hostile; surveys; the writer."""
 
 from __future__ import annotations
 
