@@ -403,6 +403,15 @@ def test_a_description_of_a_dataset_that_is_too_large(tmp_path: Path) -> None:
         survey(Path(f"{folder}#0"))
 
 
+def test_a_count_of_episodes_that_no_number_holds(tmp_path: Path) -> None:
+    folder = dataset(tmp_path, "v2.1")
+    path = folder / "meta" / "info.json"
+    path.write_text(path.read_text().replace('"total_episodes": ', '"total_episodes": 1e400, "were": '))
+    with pytest.raises(AmheError, match=r"info\.json: .*finite") as refusal:
+        survey(Path(f"{folder}#0"))
+    assert "\n" not in str(refusal.value)
+
+
 def test_texts_in_a_parquet_file_are_not_unfolded(tmp_path: Path) -> None:
     """One text of 16 KiB, 65,536 times, is a small file and a GiB."""
     pa = pytest.importorskip("pyarrow")

@@ -46,7 +46,9 @@ class SqliteFile(LogFile):
         if len(head) < 100 or self._size < (65536 if page == 1 else page) * int.from_bytes(
             head[28:32], "big"
         ):
-            raise ValueError("the database is cut off: copy it again")
+            raise ValueError(
+                "the database is cut off: copy it again, or save what `sqlite3 FILE .recover` finds"
+            )
         # A journal beside the file means that the recorder crashed; sqlite then needs to see it.
         journal = path.with_name(path.name + "-wal")
         mode = "mode=ro" if journal.exists() and journal.stat().st_size else "immutable=1"
