@@ -11,7 +11,6 @@ from amhe_cli.core.log import Log
 from amhe_cli.core.signals import Series
 from amhe_cli.estimation.conclude import PARTS
 from amhe_cli.estimation.identification import IdentifyOptions, identify
-from amhe_cli.estimation.offline.checkpoint import _sum
 from amhe_cli.system.system import System
 from tests.estimation.conftest import CHEAP, TRUTH
 
@@ -123,14 +122,6 @@ def test_a_checkpoint_of_another_problem_is_refused(pendulum, swing, tmp_path):
     for change in ([], "x", {"z": []}, None):
         file.write_text(json.dumps(json.loads(saved) | {"state": change}))
         with pytest.raises(ConfigError, match="its content was changed"):
-            identify(pendulum, [swing(3.0)], None, IdentifyOptions(checkpoint=file))
-    nan = {"array": [float("nan")] * 2, "shape": [2]}
-    changes = [{"z": []}, {"z": "x"}, {"z": nan}, {"record": []}, {"stage": "x"}, {"scale": {"a": "x"}}]
-    changes += [{"number": -1}, {"shape": {"array": [1.0], "shape": [1, 1]}}, {"first": 3}]
-    for change in (*changes, {"trail": {"array": [1.0], "shape": [1]}}):
-        state = json.loads(saved)["state"] | change  # its checksum fits
-        file.write_text(json.dumps(json.loads(saved) | {"state": state, "sum": _sum(state)}))
-        with pytest.raises(ConfigError, match="delete it"):
             identify(pendulum, [swing(3.0)], None, IdentifyOptions(checkpoint=file))
     for text in (saved.replace('"number": ', '"number": 1', 1), "[" * 10**5, "[]", saved[:-9]):
         file.write_text(text)

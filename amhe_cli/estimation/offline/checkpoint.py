@@ -6,7 +6,7 @@ import json
 from dataclasses import asdict, fields
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +15,9 @@ from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.files import write_whole
 from amhe_cli.estimation.core.linearise import FirstStates
 from amhe_cli.estimation.core.result import Iteration
-from amhe_cli.estimation.offline.cma import MEMORY, CmaState
+from amhe_cli.estimation.offline.cma import CmaState
 from amhe_cli.estimation.offline.problem import Problem
-from amhe_cli.estimation.offline.search import SearchState, Stage
+from amhe_cli.estimation.offline.search import SearchState
 
 FORMAT = 3
 _STATES = {"linearised": SearchState, "cmaes": CmaState}
@@ -35,7 +35,7 @@ class Checkpoint:
     """
 
     def __init__(self, path: Path | None, problem: Problem, method: str) -> None:
-        self._path, self._problem = path, problem
+        self._path = path
         self._key = _fingerprint(problem, method)
 
     def save(self, state: SearchState | CmaState) -> None:
@@ -62,8 +62,6 @@ class Checkpoint:
             if saved["sum"] != _sum(saved["state"]):
                 raise ValueError("its content was changed")
             state = _restore(saved["kind"], saved["state"])
-            if saved["problem"] == self._key and not _whole(state, self._problem):
-                raise ValueError("its content is no search's")
         except (ValueError, LookupError, TypeError, AttributeError, OSError, RecursionError) as error:
             raise ConfigError(
                 f"{self._path}: not a checkpoint of this version ({error}); delete it to start anew"
@@ -120,35 +118,6 @@ def _restore(kind: str, saved: dict[str, Any]) -> SearchState | CmaState:
     if values.get("first"):
         values["first"] = FirstStates(**values["first"])
     return _STATES[kind](**values)
-
-
-def _whole(state: SearchState | CmaState, problem: Problem) -> bool:
-    """Whether a search may have left this state behind: checksums keep nobody from writing another one."""
-    d = len(problem.system.space)
-    arrays = [(state.z, (d,)), (np.array(list(state.scale.values()), dtype=np.float64), (len(state.scale),))]
-    for entry in state.record:
-        numbers = (entry.number, entry.cost, entry.sigma, entry.rollouts, entry.diverged)
-        arrays += [(np.array(entry.theta, dtype=np.float64), (d,))]
-        arrays += [(np.array(numbers, dtype=np.float64).clip(-1e300, 1e300), (5,))]  # a cost may be infinite
-    if isinstance(state, CmaState):
-        counts = (state.number,)
-        sound = isinstance(state.done, bool)
-        if state.memory:
-            n = state.memory["_mean"].size
-            shapes = ((n,), (n, n), (), (n,), (n,), ())  # the last one of MEMORY begins uninitialised
-            arrays += [(state.memory[name], shape) for name, shape in zip(MEMORY, shapes, strict=False)]
-            sound = sound and n == np.count_nonzero(problem.active) and set(state.memory) == set(MEMORY)
-    else:
-        counts = (state.number,)
-        sound = state.stage in get_args(Stage) and isinstance(state.settled, bool)
-        arrays += [(state.shape, (d, d)), (state.trail, (len(state.trail), state.trail.shape[1]))]
-        sound = sound and (not state.trail.size or state.trail.shape[1] == d)
-        if state.first:
-            c, nx = len(problem.clips), state.first.mean.shape[1]
-            arrays += [(state.first.mean, (c, nx)), (state.first.shape, (c, nx, nx))]
-    sound = sound and (bool(state.record) or not state.done)
-    sound = sound and all(isinstance(count, int) and count >= 0 for count in counts)
-    return bool(sound and all(one.shape == shape and np.isfinite(one).all() for one, shape in arrays))
 
 
 def _array(value: Any) -> Any:

@@ -119,9 +119,7 @@ class Problem:
         shape, found = diagonal(WIDEST, self.active), []
         for rows in cut(len(clips), -(-len(clips) // self.settings.clips.count)):
             cost = self.cost([clips[i] for i in rows])
-            first = FirstStates.recorded(
-                len(rows), 0 if self.settings.identify.first_state == "never" else cost.nx
-            )
+            first = self.recorded(cost)
             slopes = self.linearised(cost, z, first, shape, self.rng(7), straight=True)
             gz, gx = np.split(slopes.gain, [z.size], axis=1)
             weight = np.repeat(slopes.completed.astype(np.float64)[:, None], gz.shape[2], axis=1)
@@ -180,6 +178,11 @@ class Problem:
         return linearise(
             cost, z, first, shape, samples, rng, averaged=rough, straight=straight, reach=self.reach
         )
+
+    def recorded(self, cost: MatchingCost) -> FirstStates:
+        """First states of a cost's clips as recorded; without errors where the settings fit none."""
+        fitted = self.settings.identify.first_state != "never"
+        return FirstStates.recorded(len(cost.clips.windows), cost.nx * fitted)
 
     def first_states(self, found: Information, dz: FloatArray) -> FirstStates:
         """What the clips of an information know of their first states after a step of z (d,)."""

@@ -140,8 +140,8 @@ def advance(problem: Problem, state: SearchState) -> SearchState:
     else:
         windows = problem.clips[:: max(1, len(problem.clips) // FEW)] if few else problem.clips
     cost = problem.cost(windows, state.scale)
-    nx = cost.nx if _fits_first_states(setting.first_state, exploring) else 0
-    first = state.first or FirstStates.recorded(len(windows), nx)
+    fitted = setting.first_state == "always" or (setting.first_state == "polish" and not exploring)
+    first = state.first or FirstStates.recorded(len(windows), cost.nx * fitted)
     slopes = problem.linearised(cost, state.z, first, state.shape, rng, straight=state.straight)
     found = information(slopes)
     taken = gauss_newton(problem, state, slopes, found)
@@ -156,10 +156,12 @@ def advance(problem: Problem, state: SearchState) -> SearchState:
     if problem.rough and not exploring:
         trail = np.append(trail.reshape(-1, taken.z.size), taken.z[None], axis=0)
     still = taken.moved < SETTLED and not changed(sampling_sd(state.shape), sampling_sd(shape))
-    # a step is short, too, where the misfit of an iteration before passes for noise
-    settled = still and not few and (problem.touches or not _quieter(state.scale, taken.scale))
+    # a step is short, too, while the misfit of an iteration before passes for noise
+    quieter = any(sd < 0.8 * state.scale.get(key, 1.0) for key, sd in taken.scale.items() if state.scale)
+    settled = still and not few and (problem.touches or not quieter)
     stage = _next_stage(state, number, settled, setting)
-    z = _averaged(trail) if stage == "done" and len(trail) else taken.z
+    # each step is an estimate from its own samples, whose scatter averages out over the later ones
+    z = trail[len(trail) // 3 :].mean(axis=0) if stage == "done" and len(trail) else taken.z
     return replace(
         state,
         stage=stage,
@@ -301,20 +303,6 @@ def _reshaped(
     covariance = np.linalg.inv(known + problem.system.space.prior_precision)
     before = state.shape if problem.touches else np.zeros_like(state.shape)
     return adapted(covariance, before, floor, problem.active, problem.alike)
-
-
-def _quieter(before: Mapping[str, float], after: Mapping[str, float]) -> bool:
-    """Whether any channel's residuals are smaller by more than a quarter than the noise that was assumed."""
-    return any(sd < 0.8 * before.get(key, 1.0) for key, sd in after.items() if before)
-
-
-def _averaged(trail: FloatArray) -> FloatArray:
-    """Mean of the later steps: each is an estimate from its own samples, and their scatter averages out."""
-    return trail[len(trail) // 3 :].mean(axis=0)
-
-
-def _fits_first_states(when: str, exploring: bool) -> bool:
-    return when == "always" or (when == "polish" and not exploring)
 
 
 def _next_stage(state: SearchState, number: int, settled: bool, setting: IdentifySettings) -> Stage:

@@ -25,7 +25,6 @@ from amhe_cli.estimation.online.updates import (
     linearised_update,
     logrank_update,
     prior_of,
-    with_model_error,
 )
 from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.system.system import System
@@ -80,7 +79,9 @@ class Considered:
             kept: How much of an error before the update is left after it, shape (d, d).
         """
         if self._variants is None:
-            self._variants = [_moved(self.system, self.engine, *one) for one in _measured(self.system)]
+            held = [(p.name, held.value + held.sd) for p, held, _, _ in self.system.edits.considered()]
+            moved = [self.system.fixing({name: value}) for name, value in held]
+            self._variants = [(one, self.engine.upon(one.model, one.edits)) for one in moved]
             self._error = np.zeros((z.size, len(self._variants)))
         if not self._variants:
             return
@@ -101,16 +102,6 @@ class Considered:
                 pull = fit.slope @ (found.weight[0] * change)
                 moves[:, column] = -np.linalg.solve(found.matrix[0] + np.eye(z.size), pull)
         return moves
-
-
-def _measured(system: System) -> list[tuple[str, float]]:
-    """Names of the held parameters that somebody measured, each with its value moved by an sd."""
-    return [(p.name, held.value + held.sd) for p, held, _, _ in system.edits.considered()]
-
-
-def _moved(system: System, engine: Engine, name: str, value: float) -> tuple[System, Engine]:
-    other = system.fixing({name: value})
-    return other, engine.upon(other.model, other.edits)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,30 +164,6 @@ def check_window(settings: MheSettings, dt: float) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class JumpTest:
-    """Detector of jumps: so many windows in a row must be far from the prior.
-
-    Args:
-        threshold: Normalised innovation above which a window is far [sd].
-        windows: Number of such windows in a row that are a jump: a single one may be a missed contact.
-        row: Number of such windows so far.
-    """
-
-    threshold: float
-    windows: int
-    row: int = 0
-
-    def after(self, innovation: float) -> JumpTest:
-        """The detector after one more window."""
-        return replace(self, row=self.row + 1 if innovation > self.threshold else 0)
-
-    @property
-    def jumped(self) -> bool:
-        """Whether the windows so far show a jump."""
-        return self.row >= self.windows
-
-
-@dataclass(frozen=True, slots=True)
 class Pace:
     """Speed of the last update, from which a budget of time becomes a number of samples.
 
@@ -239,7 +206,7 @@ class MovingHorizon:
         # what passes from window to window
         self._belief = prior_of(system.space, belief, setting.start_sd)
         self._noise = Noise()
-        self._jump = JumpTest(setting.jump, setting.jump_windows)
+        self._far = 0  # windows in a row that are far from the prior: a single one may be a missed contact
         self._pace = Pace()
         self._last: float | None = None
         self._considered = Considered(system, engine)
@@ -263,7 +230,7 @@ class MovingHorizon:
         self._belief = self._belief.inflated(self._system.space.drift**2 * elapsed)
         cost = cost_of(self._system, window, self._engine)
         if cost is None:
-            self._jump = self._jump.after(0.0)
+            self._far = 0
             return self._estimate(at, "gap", None, begun)
         problem = WindowProblem(
             cost=cost,
@@ -285,8 +252,8 @@ class MovingHorizon:
         if setting.method == "logrank":
             return logrank_update(problem)
         fit = fit_window(problem, prior.z)
-        self._jump = self._jump.after(fit.innovation)
-        if self._jump.jumped:
+        self._far = self._far + 1 if fit.innovation > setting.jump else 0
+        if self._jumped:
             prior = prior.inflated(np.full(prior.z.size, setting.jump_sd**2))
         outcome = linearised_update(problem, fit, prior)
         excited = outcome.excitation >= setting.excitation and np.isfinite(outcome.before + outcome.after)
@@ -297,19 +264,24 @@ class MovingHorizon:
 
     def _accept(self, outcome: Outcome) -> Mark:
         """Take over the outcome, unless the window diverged or has too little excitation."""
-        jumped = self._jump.jumped
         if not np.isfinite(outcome.before + outcome.after):
-            self._jump = self._jump.after(0.0)
+            self._far = 0
             return "diverged"
-        if outcome.excitation < self._settings.excitation and not jumped:
+        if outcome.excitation < self._settings.excitation and not self._jumped:
             return "still"
         self._belief, self._noise = outcome.belief, outcome.noise
-        return "jump" if jumped else "updated"
+        return "jump" if self._jumped else "updated"
+
+    @property
+    def _jumped(self) -> bool:
+        return self._far >= self._settings.jump_windows
 
     def _estimate(self, at: float, mark: Mark, outcome: Outcome | None, begun: float) -> Estimate:
         space = self._system.space
-        belief = with_model_error(space, self._belief, self._settings.systematic)
-        belief = replace(belief, covariance=belief.covariance + self._considered.covariance)
+        # the model's own error is the same in every window: it is reported, and passes on to none
+        error = space.in_z([self._settings.systematic.get(name, 0.0) for name in space.names])
+        covariance = self._belief.covariance + np.outer(error, error) + self._considered.covariance
+        belief = replace(self._belief, covariance=covariance)
         theta = space.theta_of(belief.z)
         phi_sd = belief.sd * space.prior_sd
         lower, upper = (space.theta_of(space.clip(belief.z + side * Z90 * belief.sd)) for side in (-1.0, 1.0))

@@ -82,21 +82,6 @@ def prior_of(space: ParameterSpace, belief: Belief | None, least_sd: float) -> G
     return Gaussian(*space.gaussian_of(belief)).floored(space.in_z(least_sd))
 
 
-def with_model_error(space: ParameterSpace, belief: Gaussian, systematic: Mapping[str, float]) -> Gaussian:
-    """The belief that is reported: with the error of the model itself along one direction.
-
-    It is the same in every window and does not average out, so it is added to what is reported and not to the
-    prior of the next window.
-
-    Args:
-        space: The system's parameters.
-        belief: The estimator's own belief.
-        systematic: Parameter -> error (sd), as a share of its value; of a linear one in prior sd.
-    """
-    error = space.in_z([systematic.get(name, 0.0) for name in space.names])
-    return replace(belief, covariance=belief.covariance + np.outer(error, error))
-
-
 @dataclass(frozen=True, slots=True)
 class Noise:
     """Noise that the residuals of earlier windows have shown, by channel.

@@ -289,9 +289,7 @@ def _linearised(
     place: int,
 ) -> Linearisation:
     cost = problem.cost(problem.clips, scale)
-    fitted = problem.settings.identify.first_state != "never"
-    at = first or FirstStates.recorded(len(problem.clips), cost.nx if fitted else 0)
-    return problem.linearised(cost, finding.z, at, shape, problem.rng(3, place))
+    return problem.linearised(cost, finding.z, first or problem.recorded(cost), shape, problem.rng(3, place))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -328,12 +326,12 @@ def scored(problem: Problem, cost: MatchingCost, z: FloatArray, shape: FloatArra
         z: The values.
         shape: Shape of the samples of z, (d, d).
     """
-    nx = fitted_errors(problem, cost)
-    first = FirstStates.recorded(len(cost.clips.windows), nx)
-    slopes = problem.linearised(cost, z, first, shape, problem.rng(5), straight=not problem.touches)
+    slopes = problem.linearised(
+        cost, z, problem.recorded(cost), shape, problem.rng(5), straight=not problem.touches
+    )
     found = information(slopes)
     tried = LINE[:, None, None] * found.nuisance
-    residuals = cost.residuals(np.repeat(z[None], len(LINE), axis=0), tried if nx else None)
+    residuals = cost.residuals(np.repeat(z[None], len(LINE), axis=0), tried if tried.size else None)
     losses = cost.losses(residuals)
     errors = np.einsum("pcx,pcx->pc", tried, tried)
     total, times = errors, channel_times(cost, found.residual, slopes.completed)
@@ -345,8 +343,3 @@ def scored(problem: Problem, cost: MatchingCost, z: FloatArray, shape: FloatArra
     kept = tuple(to_host(values)[best][None] for values in residuals.values)
     own = [np.where(done, one[best], np.inf) for one in losses]
     return Scored(Residuals(kept, done[None]), own, times, errors[best], found)
-
-
-def fitted_errors(problem: Problem, cost: MatchingCost) -> int:
-    """Number of first-state errors that are fitted."""
-    return 0 if problem.settings.identify.first_state == "never" else cost.nx

@@ -20,11 +20,10 @@ from amhe_cli.core.log import Window
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.estimation.core.agreement import SURPRISE
 from amhe_cli.estimation.core.information import information
-from amhe_cli.estimation.core.linearise import FirstStates
 from amhe_cli.estimation.core.result import Fit, HeldOut, SpanError
 from amhe_cli.estimation.offline.clips import ClipPool, clip_name
 from amhe_cli.estimation.offline.problem import FEWEST, Problem
-from amhe_cli.estimation.uncertainty.fit import FinalFit, Finding, Scored, fitted_errors, scored
+from amhe_cli.estimation.uncertainty.fit import FinalFit, Finding, Scored, scored
 from amhe_cli.matching.cost import MatchingCost, measures
 from amhe_cli.matching.windows import Observed
 
@@ -65,7 +64,7 @@ def with_own_values(
         if not (own := averaged(log, model, space)):
             continue
         cost = problem.cost([window for window in windows if window.log is log], scale)
-        first = FirstStates.recorded(len(cost.clips.windows), fitted_errors(problem, cost))
+        first = problem.recorded(cost)
         along, away = np.zeros((len(z), len(own))), np.zeros(len(own))
         for column, members in enumerate(own.values()):
             along[members, column] = 1.0  # all of them move their mean

@@ -12,7 +12,7 @@ from amhe_cli.core.errors import ConfigError, EstimationError
 from amhe_cli.core.log import Log, Window
 from amhe_cli.core.signals import Series
 from amhe_cli.engine.open import open_engine
-from amhe_cli.estimation.online.horizon import Estimate, JumpTest, MovingHorizon, Pace
+from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon, Pace
 from amhe_cli.estimation.online.replay import open_replay, replay, windows
 from amhe_cli.estimation.online.updates import Gaussian, Noise, Outcome, innovation, prior_of
 from amhe_cli.system.system import System
@@ -87,24 +87,6 @@ def test_a_jump_may_have_to_be_found_by_windows_in_a_row(cart, drive) -> None:
     marks = [[e.mark for e in estimates(with_mhe(cart, jump_windows=count), log)] for count in (1, 2)]
     one, two = (of.index("jump") for of in marks)
     assert two == one + 1
-
-
-@pytest.mark.parametrize(
-    ("innovations", "jumps"),
-    [
-        ([1, 1, 4, 1, 4, 1], []),  # single ones
-        ([1, 1, 4, 4, 1, 1], [3]),
-        ([1, 1, 4, 4, 4, 1], [3, 4]),  # the estimate has not arrived yet
-        ([1, 3, 3, 1, 4, 4], [5]),  # at the threshold is not above it
-        ([4, 4, 0, 4], [1]),  # a window that explains nothing breaks the row
-    ],
-)
-def test_a_jump_is_so_many_innovations_in_a_row(innovations: list[float], jumps: list[int]) -> None:
-    test, found = JumpTest(threshold=3.0, windows=2), []
-    for i, one in enumerate(innovations):
-        test = test.after(one)
-        found += [i] if test.jumped else []
-    assert found == jumps
 
 
 def test_a_jump_inflates_the_prior_of_its_own_window(constant, drive) -> None:
