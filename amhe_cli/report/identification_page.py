@@ -271,8 +271,9 @@ def _sections(result: Identification, record: Mapping[str, Any], seen: Beside) -
 def next_steps(folder: str | Path, view: bool) -> list[str]:
     """What to do next, to look at a result (if it has a view), to use it and to randomise with it."""
     quoted = shlex.quote(str(folder))
+    without = f"{quoted}/report.html (there is no view: no motion is predicted)"
     return [
-        *([f"look: amhe view {quoted}"] if view else []),
+        f"look: {f'amhe view {quoted}' if view else without}",
         f"use: {quoted}/identified.xml",
         f"randomise: amhe export --to mjlab {quoted}/belief.yaml",
     ]

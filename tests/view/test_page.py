@@ -249,3 +249,16 @@ def test_a_served_page_predicts_again_when_a_slider_is_dragged(
     asked = view.answer({"take": "0", **values, "load_mass": str(mass)})
     assert cost == pytest.approx(asked["cost"])
     assert "yours: cost" in chromium.run("document.getElementById('tried').textContent")
+
+
+def test_what_is_left_is_the_misfit_in_units_of_the_noise(opened: Browser) -> None:
+    pick = "document.getElementById('channel')"
+    opened.run(f"{pick}.value = LEFT_OVER; {pick}.dispatchEvent(new Event('change'))")
+    panels = opened.run("document.querySelectorAll('.panel > svg').length")
+    assert panels == opened.run("player.data.columns.filter((column) => column.noise).length")
+    left = "player.data.columns.map((column, k) => player.left({ ...column, k }))"
+    shown = opened.run("player.plots.panels[0].lines.map((line) => [line.name, Array.from(line.y)])")
+    assert [name for name, _ in shown] == ["before", "after"]
+    missed = np.array(opened.run(f"Math.max(...{left})"))
+    own = np.array([value for value in shown[1][1] if value is not None])
+    assert 0.1 * missed < np.sqrt(np.mean(own**2)) < 10.0 * missed

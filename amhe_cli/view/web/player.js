@@ -1,6 +1,7 @@
 // The page: time, clips, layers; and in a live page the frames that arrive.
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
 const LONG = 3;  // seconds in which a clip plays
+const LEFT_OVER = "what is left, worst first", WORST = 6;  // a channel of residuals, and how many columns it shows
 const RAMP = [[0.17, 0.42, 0.69], [0.22, 0.7, 0.67], [0.93, 0.79, 0.29], [0.87, 0.29, 0.16]];
 // Colours of the ghosts, by their names in style.css; any other one is that of what was identified.
 const GHOSTS = { before: "before", predicted: "before", yours: "violet" };
@@ -48,7 +49,8 @@ class Player {
       const dot = made("i"); dot.style.background = ink(i ? ghost(name) : "measured");
       box.append(made("label", {}, check, dot, name));
     }
-    for (const [id, text] of [["forces", "contact forces"], ["traces", "sampled plans"]]) {
+    this.newtons = made("span", { title: "An arrow as long as this line, where the camera looks" });
+    for (const [id, text] of [["forces", made("span", {}, "contact forces ", this.newtons)], ["traces", "sampled plans"]]) {
       const check = made("input", { type: "checkbox", checked: true, id });
       check.addEventListener("change", () => this.dirty = true);
       box.append(made("label", { hidden: true }, check, text));
@@ -135,7 +137,7 @@ class Player {
   // What the plots can show: each channel of the log, and each group of other numbers.
   channels() {
     const pick = $("channel"), before = pick.value, groups = [...new Set([...this.recording.curves.values()].map((one) => one.group))];
-    pick.replaceChildren(...[...groups, ...new Set(this.data.columns.map((column) => column.channel))].map((name) => made("option", { value: name, textContent: name })));
+    pick.replaceChildren(...[...groups, ...new Set(this.data.columns.map((column) => column.channel)), ...(this.takes.length && this.data.columns.some((column) => column.noise) ? [LEFT_OVER] : [])].map((name) => made("option", { value: name, textContent: name })));
     if (before) pick.value = before;
     pick.onchange = () => { this.panels(); this.redraw(); };
     $("plots").hidden = !pick.options.length;
@@ -144,27 +146,41 @@ class Player {
   panels() {
     const name = $("channel").value;
     const own = [...this.recording.curves.values()].filter((one) => one.group === name).map((one) => ({ title: one.name, unit: one.unit, lines: () => [{ ...one, name: "value", x: one.times, y: one.values, color: "after" }] }));
-    const columns = this.data.columns.map((column, k) => ({ ...column, k })).filter((column) => column.channel === name);
+    const every = this.data.columns.map((column, k) => ({ ...column, k })), columns = every.filter((column) => column.channel === name);
+    if (name === LEFT_OVER) {
+      const worst = every.filter((column) => column.noise).map((column) => ({ ...column, left: this.left(column) })).sort((a, b) => b.left - a.left).slice(0, WORST);
+      return this.plots.show(worst.map((column) => ({ title: `${column.channel} ${column.name}`, unit: "\u00D7 noise", height: 110, marks: [{ at: [-1, 1], axis: "y", name: "declared noise, one sd", color: "given" }], lines: (from, to) => this.lines(column.k, from, to, column.noise) })));
+    }
     this.plots.show(own.length ? own : columns.map((column) => ({ title: column.name === name ? name : column.name, unit: column.unit === "rad" ? "°" : column.unit, height: 130, lines: (from, to) => this.lines(column.k, from, to) })));
   }
-  // Curves of column k in degrees where it is an angle: what was measured, and each ghost over its clips.
-  lines(k, from, to) {
+  // How far the best ghost misses a column over all clips, rms in units of its noise.
+  left({ k, noise }) {
+    let sum = 0, count = 0;
+    for (const { tracks } of this.takes) for (let i = k, best = tracks.at(-1); best && i < best.values.length; i += best.width) {
+      const away = (tracks[0].values[i] - best.values[i]) / noise;
+      if (Number.isFinite(away)) { sum += away * away; count++; }
+    }
+    return Math.sqrt(sum / (count || 1));
+  }
+  // Curves of column k in degrees where it is an angle: what was measured, and each ghost over its clips; given its
+  // noise, what each ghost leaves of the measured one in units of that.
+  lines(k, from, to, noise = 0) {
     const lines = [], inside = this.recording.takes.filter((take) => take.stop >= from && take.start <= to && (!this.take || take === this.take));
     const factor = this.data.columns[k].unit === "rad" ? 180 / Math.PI : 1;
     const curve = (parts, more) => {
       const x = [], y = [];
-      for (const [track, start] of parts) {
+      for (const [track, start, measured] of parts) {
         if (x.length) { x.push(start); y.push(NaN); }
-        for (let i = 0; i < track.count; i++) { x.push(start + i * track.step); y.push(factor * track.values[i * track.width + k]); }
+        for (let i = 0; i < track.count; i++) { x.push(start + i * track.step); const value = track.values[i * track.width + k]; y.push(noise ? (measured.values[i * track.width + k] - value) / noise : factor * value); }
       }
       lines.push({ x, y, ...more });
     };
     this.data.candidates.forEach((name, i) => {
-      const parts = inside.filter((take) => take.tracks[i + 1]).map((take) => [take.tracks[i + 1], take.start]);
+      const parts = inside.filter((take) => take.tracks[i + 1]).map((take) => [take.tracks[i + 1], take.start, take.tracks[0]]);
       if (this.shown.has(name)) curve(parts, { name, color: ghost(name), shape: i === 0 && this.data.candidates.length > 1 ? "dashed" : "line", leads: false });
     });
-    if (this.take?.yours?.track) curve([[this.take.yours.track, this.take.start]], { name: "yours", color: ghost("yours"), leads: false });
-    if (this.shown.has("measured")) curve([this.take ? [this.take.tracks[0], this.take.start] : [this.recording.track, 0]], { name: "measured", color: "measured", shape: "dots" });
+    if (this.take?.yours?.track) curve([[this.take.yours.track, this.take.start, this.take.tracks[0]]], { name: "yours", color: ghost("yours"), leads: false });
+    if (this.shown.has("measured") && !noise) curve([this.take ? [this.take.tracks[0], this.take.start] : [this.recording.track, 0]], { name: "measured", color: "measured", shape: "dots" });
     return lines;
   }
   takeAt(time) {
@@ -268,7 +284,14 @@ class Player {
     if (best?.forces) { const wide = 6 * best.touching, frame = Math.round((this.now - take.start) / best.step); found = { forces: best.forces.subarray(frame * wide, (frame + 1) * wide) }; }
     else for (let i = 0; i < 5 && !found.forces && !found.traces; i++) found = this.recording.drawn.get(Math.round(this.now / step) - i) ?? {};
     for (const id of ["forces", "traces"]) if (found[id]) { $(id).parentElement.hidden = false; if (!$(id).checked) found = { ...found, [id]: null }; }
+    if (found.forces) this.rule();
     return found;
+  }
+  // The line that is as long as an arrow of a round force, where the camera looks.
+  rule() {
+    const { weight } = this.data, power = 10 ** Math.floor(Math.log10(weight)), round = power * [5, 2, 1].find((k) => k * power <= weight);
+    const long = this.stage.reach * this.stage.canvas.clientHeight * round / weight, line = made("i", { className: "rule" });
+    line.style.width = `${long.toFixed(0)}px`; this.newtons.replaceChildren(line, ` ${brief(round)} N`);
   }
   // The place that the camera follows: the bodies' mean over a second or so, which moves smoothly.
   middle(take, track) {

@@ -1,4 +1,5 @@
 // The scene: lit triangles in WebGL, translucent ghosts, shadows on the floor, a camera that follows.
+const ARROW = 0.25;  // length of an arrow of the weight, as a share of the distance from which one looks
 const LIGHT = unit([-0.35, 0.45, 1.0]);
 // How much further away a layer is drawn where an earlier one is seen, in distances from the eye: where their faces
 // nearly coincide there are no patches of both.
@@ -150,7 +151,9 @@ class Stage {
     const at = add(middle, this.camera.moved);
     const eye = add(at, times([Math.cos(around) * Math.cos(above), Math.sin(around) * Math.cos(above), Math.sin(above)], away));
     const wide = width / Math.max(height, 1);
-    const view = product(perspective(wide < 1 ? 0.85 : 0.6, wide, away / 60, away * 40), looking(eye, at, [0, 0, 1]));
+    const angle = wide < 1 ? 0.85 : 0.6;
+    this.reach = ARROW / (2 * Math.tan(0.5 * angle));  // an arrow of the weight, as a share of the height
+    const view = product(perspective(angle, wide, away / 60, away * 40), looking(eye, at, [0, 0, 1]));
     gl.viewport(0, 0, width, height);
     gl.clearColor(...colors.sky, 1); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT | gl.STENCIL_BUFFER_BIT);
     gl.enable(gl.DEPTH_TEST); gl.depthFunc(gl.LEQUAL); gl.useProgram(this.program);
@@ -165,7 +168,7 @@ class Stage {
     gl.disable(gl.BLEND);
     gl.clear(gl.DEPTH_BUFFER_BIT);  // what follows is seen through bodies
     if (traces) this.lines(traces, points);
-    if (forces) this.arrows(forces, 0.25 * away / weight, 0.02 * away);
+    if (forces) this.arrows(forces, ARROW * away / weight, 0.02 * away);
   }
   arrows(forces, long, thick) {
     for (let i = 0; i < forces.length; i += 6) {
