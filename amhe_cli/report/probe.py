@@ -73,15 +73,13 @@ def _print_known(known: Mapping[str, Any], columns: Mapping[str, str], console: 
 
 
 def known_table(known: Mapping[str, Any], columns: Mapping[str, str]) -> Table:
-    """Sds, in percent where relative; one row for each parameter and one for their best combination.
+    """Sds, in percent where relative; one row for each parameter.
 
     Args:
-        known: `parameters` and `together` of plan.json or result.json.
+        known: `parameters` of plan.json or result.json.
         columns: Key of each sd, without '_sd' -> heading.
     """
     rows = [(row["name"], *_sds(row, columns)) for row in known["parameters"]]
-    if (best := known["together"]) is not None:
-        rows.append((best["name"], *_sds(best | {"relative": True, "unit": ""}, columns)))
     return Table(("parameter", *columns.values()), ("name", *(NUMBER for _ in columns)), rows)
 
 

@@ -54,31 +54,11 @@ class Accuracy:
         """Posterior sd of phi, shape (d,); a share of the parameter where log-scaled."""
         return np.sqrt(np.diag(self.covariance))
 
-    def sd_along(self, powers: FloatArray) -> float:
-        """Posterior sd of the log of a product of parameters to these powers (d,)."""
-        return float(np.sqrt(powers @ self.covariance @ powers))
-
 
 def accuracy(space: ParameterSpace, information: FloatArray) -> Accuracy:
     """Accuracy from the prior and the information of data on z (draws, d, d), averaged over the draws."""
     covariance = np.linalg.inv(space.prior_precision + information).mean(axis=0)
     return Accuracy(space, covariance * np.outer(space.prior_sd, space.prior_sd))
-
-
-def best_product(known: Accuracy) -> FloatArray | None:
-    """Powers (d,) of the product or ratio of two parameters that is known best in comparison with both.
-
-    None where no product or ratio is known better than its better parameter.
-    """
-    log = np.flatnonzero(known.space.log)
-    ones = np.eye(len(known.space))
-    pairs = [ones[i] + sign * ones[j] for i in log for j in log if i < j for sign in (1.0, -1.0)]
-
-    def against_the_better(powers: FloatArray) -> float:
-        return known.sd_along(powers) / float(known.sd[powers != 0.0].min())
-
-    best = min(pairs, key=against_the_better, default=None)
-    return best if best is not None and against_the_better(best) < 1.0 else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,27 +123,11 @@ def plan_record(plan: ProbePlan) -> dict[str, Any]:
 
 
 def known_record(accuracies: Mapping[str, Accuracy | None]) -> dict[str, Any]:
-    """Prior and posterior sd of each parameter, and of the product that the first accuracy knows best.
-
-    The sd of a log-scaled parameter is a share of its value.
-    """
+    """Prior and posterior sd of each parameter; that of a log-scaled one is a share of its value."""
     known = {key: own for key, own in accuracies.items() if own is not None}
-    first = next(iter(known.values()))
     rows = [
         {"name": p.name, "unit": p.unit, "relative": p.log, "prior": p.nominal, "prior_sd": p.prior_sd}
         | {f"{key}_sd": float(own.sd[i]) for key, own in known.items()}
-        for i, p in enumerate(first.space.parameters)
+        for i, p in enumerate(next(iter(known.values())).space.parameters)
     ]
-    powers = best_product(first)
-    return {"parameters": rows, "together": None if powers is None else _product_record(known, powers)}
-
-
-def _product_record(known: Mapping[str, Accuracy], powers: FloatArray) -> dict[str, Any]:
-    space = next(iter(known.values())).space
-    sd = space.prior_sd * powers
-    names = [space.names[i] for i in np.flatnonzero(powers)]
-    sign = "*" if powers.sum() > 0.0 else "/"
-    return {
-        "name": f" {sign} ".join(names),
-        "prior_sd": float(np.sqrt(sd @ space.prior_covariance @ sd)),
-    } | {f"{key}_sd": own.sd_along(powers) for key, own in known.items()}
+    return {"parameters": rows}

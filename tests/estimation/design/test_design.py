@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.parameters import Parameter, ParameterSpace
-from amhe_cli.estimation.design.design import accuracy, best_product, criterion, ensemble
+from amhe_cli.estimation.design.design import accuracy, criterion, ensemble
 
 PRIOR = np.eye(2)
 
@@ -47,17 +47,3 @@ def test_the_ensemble_has_the_priors_spread() -> None:
 def test_accuracy_is_prior_and_data_together_in_shares_of_the_parameter() -> None:
     known = accuracy(space(), information([[3.0, 0.0], [0.0, 0.0]])[:, 0])
     np.testing.assert_allclose(known.sd, [0.25, 0.5])  # 0.5 / sqrt(1 + 3), and the prior's
-
-
-def test_what_is_known_together_is_the_product_along_the_ridge() -> None:
-    ridge = accuracy(
-        space(names="abc"), information([[900.0, 900.0, 0.0], [900.0, 900.0, 0.0], [0.0, 0.0, 1.0]])[:, 0]
-    )
-    powers = best_product(ridge)
-    assert powers is not None
-    np.testing.assert_array_equal(powers, [1.0, 1.0, 0.0])
-    assert ridge.sd_along(powers) < 0.1 * ridge.sd[0]
-
-
-def test_independent_parameters_are_not_known_together() -> None:
-    assert best_product(accuracy(space(), information([[3.0, 0.0], [0.0, 3.0]])[:, 0])) is None
