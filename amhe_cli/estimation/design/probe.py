@@ -37,6 +37,7 @@ from amhe_cli.logs import read_log
 from amhe_cli.logs.messages.writer import message_type
 from amhe_cli.system.model.elements import driven_joint
 from amhe_cli.system.model.files import compiled
+from amhe_cli.system.parameters.edits import DELAYS
 from amhe_cli.system.parameters.model_edits import ModelEdits
 from amhe_cli.system.system import System
 
@@ -301,6 +302,7 @@ def _other_plant(options: ProbeOptions, own: System, plant: Path, period: float)
         first = str(error).splitlines()[0]
         raise ConfigError(f"`plant` {plant}: does not suit the system: {first}") from None
     model = compiled(system.spec)
-    unedited = replace(system, edits=ModelEdits(model, own.space, ()))
+    at_once = {DELAYS: np.zeros(system.edits.delays(own.space.nominal[None]).shape[1])}
+    unedited = replace(system, edits=ModelEdits(model, own.space, (), at_once))
     engine = open_engine(unedited, threads=options.threads, kind=options.engine, model=model)
     return Playback(replace(system, edits=unedited.edits), engine, model.opt.timestep, period)
