@@ -29,8 +29,8 @@ from pathlib import Path
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
+from amhe_cli.logs.live.messages import Transport
 from amhe_cli.logs.live.ros import Dds, Zenoh
-from amhe_cli.logs.live.transport import Transport
 from amhe_cli.logs.messages.definitions import Definitions
 
 PROJECT = Path(__file__).resolve().parent.parent

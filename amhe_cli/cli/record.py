@@ -32,9 +32,9 @@ def record(session: Session, given: Given) -> None:
     """
     from amhe_cli.core.settings import LiveSettings
     from amhe_cli.logs import LogWriter
+    from amhe_cli.logs.live.messages import STEP
     from amhe_cli.logs.live.ros import renamed
     from amhe_cli.logs.live.sources import open_transport
-    from amhe_cli.logs.live.transport import STEP
     from amhe_cli.logs.messages.definitions import Definitions
 
     out, msg_path, inputs = given.out, given.msg_path, given.inputs

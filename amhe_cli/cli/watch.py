@@ -220,7 +220,7 @@ def _to_foxglove(
     from amhe_cli.logs.live.foxglove import FoxgloveServer
     from amhe_cli.logs.messages.definitions import Definitions
 
-    server = closed.enter_context(FoxgloveServer(port, Definitions(msg_path)))
+    server = closed.enter_context(closing(FoxgloveServer(port, Definitions(msg_path))))
     session.say("", f"Foxglove finds the estimates at {server.address}")
     yield server.publish
 

@@ -19,9 +19,8 @@ from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs.containers.raw import Batch, Connection, batch_of
 from amhe_cli.logs.live import messages
-from amhe_cli.logs.live.messages import LiveSource
+from amhe_cli.logs.live.messages import LiveSource, Transport
 from amhe_cli.logs.live.sources import Lines, listening
-from amhe_cli.logs.live.transport import Transport
 from amhe_cli.logs.messages.definitions import Definitions
 
 JOINTS = Signal("joints", "/joints", ("position",), "sensor_msgs/msg/JointState", ("a", "b"))

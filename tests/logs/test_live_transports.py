@@ -159,7 +159,7 @@ def test_foxglove_sees_what_is_published() -> None:
 
     from amhe_cli.logs.live.foxglove import FoxgloveServer
 
-    with FoxgloveServer(0, Definitions()) as server:
+    with closing(FoxgloveServer(0, Definitions())) as server:
         server.publish("/amhe/params", KIND, joint_state())  # before anyone listens
         with connect(server.address, subprotocols=["foxglove.sdk.v1"]) as client:
             heard: dict[str, Any] = {}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from types import TracebackType
 from typing import Any
 
 from amhe_cli.core.errors import ConfigError
@@ -11,7 +10,7 @@ from amhe_cli.logs.messages.definitions import Definitions
 
 
 class FoxgloveServer:
-    """Serves messages at ws://127.0.0.1:PORT; use it as a context manager.
+    """Serves messages at ws://127.0.0.1:PORT.
 
     Args:
         port: Port to listen on; 0: any that is free.
@@ -50,10 +49,6 @@ class FoxgloveServer:
             )
         self._channels[topic].log(message, log_time=time.time_ns())
 
-    def __enter__(self) -> FoxgloveServer:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Let go of the port."""
         self._server.stop()

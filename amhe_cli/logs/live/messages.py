@@ -22,12 +22,15 @@ from amhe_cli.core.signals import Signal
 from amhe_cli.logs.clocks import Timeline
 from amhe_cli.logs.collect import checked, missing
 from amhe_cli.logs.containers.raw import Batch, Connection
-from amhe_cli.logs.live.transport import STEP, Transport
 from amhe_cli.logs.messages.decode import SignalDecoder, SignalSamples
 from amhe_cli.logs.messages.definitions import Definitions
 from amhe_cli.logs.messages.split import Splitter
 from amhe_cli.logs.tracks import SignalTrack
 
+#: Time between two looks at a transport [s]: what comes meanwhile is decoded at once.
+STEP = 0.01
+#: Notes that a sender can cause.
+_NOTES = 50
 #: Topic of the simulated time.
 CLOCK = "/clock"
 #: A stamp that is off by more [s] from where its topic's stamps are is strange: it, or the clock, is wrong.
@@ -49,6 +52,47 @@ _SILENCE = 0.5
 _ARRIVALS, _PAUSES = 200, 20
 #: Longest time that a window waits for a topic whose messages lag behind others [s].
 _PATIENCE = 0.1
+
+
+class Transport:
+    """Brings messages as they are, and holds no more than a bounded number of them.
+
+    Args:
+        about: Whom it listens to, in words.
+
+    Attributes:
+        over: Whether nothing more will come.
+        connections: Topics that are offered, wanted or not.
+    """
+
+    def __init__(self, about: str) -> None:
+        self.about, self.over = about, False
+        self.connections: list[Connection] = []
+        self._told: dict[str, bool] = {}
+
+    def receive(self) -> list[Batch]:
+        """The messages since the last call; does not wait."""
+        raise NotImplementedError
+
+    def note(self, text: str) -> None:
+        """Remember to say something, once."""
+        if len(self._told) < _NOTES:
+            self._told.setdefault(text, False)
+
+    def notes(self) -> list[str]:
+        """What is to be said since the last call."""
+        fresh = [text for text, told in self._told.items() if not told]
+        self._told |= dict.fromkeys(fresh, True)
+        return fresh
+
+    def announce(self, topic: str, msgtype: str) -> None:
+        """Say that messages will be sent, where who listens would miss the first one otherwise."""
+
+    def publish(self, topic: str, msgtype: str, message: bytes) -> None:
+        """Send a message in CDR to whoever listens, where the transport can."""
+
+    def close(self) -> None:
+        """Let go of what was opened."""
 
 
 @dataclass(slots=True)

@@ -28,7 +28,7 @@ from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.limits import limits
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs.containers.raw import Batch, Connection, batch_of
-from amhe_cli.logs.live.transport import Transport
+from amhe_cli.logs.live.messages import Transport
 from amhe_cli.logs.messages.definitions import Definitions
 from amhe_cli.logs.messages.layout import Types
 

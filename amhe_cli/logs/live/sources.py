@@ -25,9 +25,8 @@ from amhe_cli.core.signals import Measured, Signal
 from amhe_cli.logs.containers.folder import StoredLog, open_log
 from amhe_cli.logs.containers.mcap_file import MAGIC, PARSE_ERRORS, RECORD, McapMessages, Piece, unfolded
 from amhe_cli.logs.containers.raw import Batch, Connection, Unfolder, batch_of, readable
-from amhe_cli.logs.live.messages import CLOCK, LiveSource
+from amhe_cli.logs.live.messages import CLOCK, LiveSource, Transport
 from amhe_cli.logs.live.ros import Dds, Zenoh, renamed
-from amhe_cli.logs.live.transport import Transport
 from amhe_cli.logs.messages.definitions import Definitions
 from amhe_cli.logs.tables import signals_on_tables
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,6 @@ from amhe_cli.logs.containers.raw import Batch, Connection
 from amhe_cli.logs.containers.table_file import ENCODING as TABLE
 from amhe_cli.logs.messages.layout import Layout, Leaf
 from amhe_cli.logs.messages.split import MessageGroup
-from amhe_cli.logs.messages.ticks import TickClock
 from amhe_cli.logs.messages.types import TICKS, TYPES, TypeInfo
 
 _Bytes = NDArray[np.uint8]
@@ -93,6 +93,38 @@ class _Growing:
         """The same where it is so wide, else as many rows of NaN."""
         same = self._held.shape[1] == width
         return self if same else _Growing(np.full((self._count, width), np.nan))
+
+
+#: Messages of which the one that was delayed least gives the counter's offset: a few seconds, in which two
+#: clocks drift apart by no more than a millisecond.
+_NEAR = 2000
+#: A counter whose offset changes by more at once [ns] has begun again.
+_AGAIN = 10**9
+
+
+class TickClock:
+    """Moves a counter onto the clock by which its messages were sent, while they come.
+
+    The counter is regular, and a busy sender is not: what was delayed least says how far they are apart.
+    """
+
+    def __init__(self) -> None:
+        self._near = np.empty(0, dtype=np.int64)
+
+    def stamps(self, ticks_ns: IntArray, sent_ns: IntArray) -> IntArray:
+        """Stamps of the next messages [ns], of their counter and times of sending [ns]; shape (n,) each.
+
+        A counter of 0 is one that the sender does not set: 0, no stamp.
+        """
+        offsets, found = sent_ns - ticks_ns, np.empty_like(ticks_ns)
+        leaps = np.flatnonzero(np.abs(np.diff(offsets)) > _AGAIN) + 1
+        ends = sorted({0, *leaps.tolist(), *range(0, offsets.size, _NEAR), offsets.size})
+        for first, end in pairwise(ends):
+            block = offsets[first:end]
+            again = abs(block[0] - self._near[-1:]) > _AGAIN
+            self._near = block if again.any() else np.concatenate((self._near[-_NEAR:], block))
+            found[first:end] = self._near.min()
+        return np.where(ticks_ns == 0, 0, ticks_ns + found)
 
 
 #: Stamps of each sample, and its place among all messages.
