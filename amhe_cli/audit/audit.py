@@ -87,21 +87,10 @@ class Audit:
     claims: tuple[Claim, ...]
     proposal: Proposal
 
-    @property
-    def elements(self) -> dict[str, str]:
-        """Kind of element that each parameter is about."""
-        return {claim.parameter: claim.number.element for claim in self.claims}
-
-    @property
-    def factors(self) -> dict[str, float]:
-        """What each number is where its parameter is 1."""
-        return {claim.parameter: claim.factor for claim in self.claims}
-
     def with_only(self, names: Collection[str]) -> System:
         """The file's model with some of its numbers as parameters, and all others as they are in the file."""
         guesses = [claim.guess(False) for claim in self.claims if claim.parameter in names]
-        only = replace(self.proposal, parameters=guesses)
-        return only.system(self.system.name)
+        return replace(self.proposal, parameters=guesses).system(self.system.name)
 
 
 def audit(

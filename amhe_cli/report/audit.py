@@ -116,14 +116,16 @@ def write_audit(
             return
         names = ", ".join(log.name for log in logs)
         corrected = found.with_only([line.parameter for line in taken])
-        theta = np.array([line.log / found.factors[line.parameter] for line in taken])
+        claims = {claim.parameter: claim for claim in found.claims}
+        theta = np.array([line.log / claims[line.parameter].factor for line in taken])
         order = [[line.parameter for line in taken].index(name) for name in corrected.space.names]
         text = _text(corrected, theta[order], model)
         comments: dict[tuple[str, str], list[str]] = {}
         for line in taken:
-            element = found.elements[line.parameter]
             was = f"{line.what} {line.file:.4g} -> {_said(line)}"
-            comments.setdefault((element, line.of), []).append(f"{was}, by amhe audit of {names}")
+            comments.setdefault((claims[line.parameter].number.element, line.of), []).append(
+                f"{was}, by amhe audit of {names}"
+            )
         (scratch / f"robot.audited{model.suffix}").write_text(with_comments(text, comments), encoding="utf-8")
         for name, source in ({} if is_urdf(model) else identified_assets(corrected)).items():
             if source.is_file():
