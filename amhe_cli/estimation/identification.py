@@ -120,8 +120,8 @@ class Search:
         """Where a search with the same parameters under other priors begins."""
         own, space, found = self.problem.system.space, problem.system.space, self.finding
         z, wider = space.clip(space.z_of(own.theta_of(found.z))), own.prior_sd / space.prior_sd
-        smooth = isinstance(found, SearchState) and found.straight
-        return search.restart(problem, z, wider[:, None] * found.shape if smooth else None)
+        shape = wider[:, None] * found.shape if isinstance(found, SearchState) and found.straight else None
+        return search.restart(problem, z, shape)
 
 
 def searched_for(
