@@ -152,9 +152,21 @@ def held_against(system: System, belief: Belief, file: mujoco.MjModel) -> list[L
     chance, told = chances(t), sd <= np.maximum(sheet, 1e-12)
     verdicts = np.where(contradicted(chance), VERDICTS[0], np.where(told, VERDICTS[1], VERDICTS[2])).tolist()
     worth = weights(model, others, anywhere(model))
-    columns = (said, log, sd, t, chance)
     return in_order(
-        Line(n.of, n.what, n.unit, "", *(float(one[i]) for one in columns), verdicts[i], worth[i], "")
+        Line(
+            n.of,
+            n.what,
+            n.unit,
+            "",
+            float(said[i]),
+            float(log[i]),
+            float(sd[i]),
+            float(t[i]),
+            float(chance[i]),
+            verdicts[i],
+            worth[i],
+            "",
+        )
         for i, (n, _) in enumerate(rows)
     )
 

@@ -66,13 +66,18 @@ def _name(model: mujoco.MjModel, kind: str, row: int) -> str:
 def _bodies(model: mujoco.MjModel) -> Iterator[Doubt]:
     """Links that weigh next to nothing, and what moves against its shape, but for small parts of it."""
     welded = np.bincount(model.body_weldid, model.body_mass, model.nbody)
-    for body in np.flatnonzero(model.body_mass > WORTHWHILE * welded[model.body_weldid]):
+    for body in np.flatnonzero(model.body_mass > WORTHWHILE * welded[model.body_weldid]).tolist():
         weld, name = model.body_weldid[body], _name(model, "body", body)
         if not weld or model.body_mocapid[weld] >= 0:
             continue
         if body == weld and welded[weld] < 0.999 * model.body_subtreemass[weld]:
             grams = 1e3 * welded[weld]
-            yield "light", name, f"it weighs {grams:.2g} g, and links hang on it", 1e3 * _SCREWS / grams
+            yield (
+                "light",
+                name,
+                f"it weighs {grams:.2g} g, and links hang on it",
+                float(1e3 * _SCREWS / grams),
+            )
         if (points := _corners(model, body)) is not None:
             yield from _against_shape(model, body, name, points)
 
