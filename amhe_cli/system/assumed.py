@@ -309,7 +309,7 @@ def _ranges(model: mujoco.MjModel, share: float, hit: BoolArray) -> Iterator[Ass
         extent = float(np.ptp(model.jnt_range[row]))
         ends = (Cells("jnt_range", row, (1,)), Cells("jnt_range", row, (0,), -1.0))
         name = f"the range of joint {model.joint(row).name}"
-        found = _off("joint_limit", name, ends, share * extent, (100.0 / extent, "% of it"))
+        found = _off("joint_limit", name, ends, share * extent, (100.0 / max(extent, 1e-12), "% of it"))
         yield replace(found, acts=float(hit[:, row].mean()))
 
 

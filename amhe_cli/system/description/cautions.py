@@ -44,7 +44,8 @@ def caution(where: str, model: mujoco.MjModel, edits: ModelEdits) -> None:
         for text in _texts(model, part, cells, parameter.lower)
     ]
     for name, text in dict.fromkeys((*found, *_far_from_the_model(model, edits))):
-        logger.warning(f"{where}: parameter {name!r}: {text}")
+        line = f"{where}: parameter {name!r}: {text}"
+        logger.warning(line)
 
 
 def _far_from_the_model(model: mujoco.MjModel, edits: ModelEdits) -> Iterator[tuple[str, str]]:

@@ -182,12 +182,12 @@ def _built(
     if warn:
         caution(where, base, edits)
         if keyframe is None and (joints := draft.unset_joints()):
-            text = "it starts each clip at zero; give one, or a keyframe"
-            logger.warning(f"{where}: no signal gives the state of joint {', '.join(joints)}: {text}")
+            why = "it starts each clip at zero; give one, or a keyframe"
+            logger.warning(f"{where}: no signal gives the state of joint {', '.join(joints)}: {why}")
         if off:
             actuators = ", ".join(base.actuator(row).name or f"number {row}" for row in off)
-            text = "off, since nothing commands them and the forces at their joints are given"
-            logger.log(NOTE, f"{where}: {text}: {actuators}")
+            why = "off, since nothing commands them and the forces at their joints are given"
+            logger.log(NOTE, f"{where}: {why}: {actuators}")
     return SystemData(
         name=name,
         folder=folder,

@@ -90,7 +90,7 @@ def test_without_a_limit_there_is_time_for_all_and_after_an_interruption_for_non
 
 
 def test_a_long_search_without_a_limit_says_how_long(clock, caplog) -> None:
-    caplog.set_level("INFO")
+    caplog.set_level("INFO", logger="amhe_cli")
     watch = Watch(lambda *_: None, None, 6)
     watch.keep(600)
     clock.now += 1.0
