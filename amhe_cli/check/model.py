@@ -204,10 +204,8 @@ def _limits(model: mujoco.MjModel, joints: IntArray) -> Iterator[Doubt]:
         if model.actuator_trntype[row] != mujoco.mjtTrn.mjTRN_JOINT or joint not in joints:
             continue
         name, weight = _name(model, "actuator", row), heavy[model.jnt_dofadr[joint]]
-        gear, stiffness = (
-            abs(float(model.actuator_gear[row, 0])) or 1.0,
-            -float(model.actuator_biasprm[row, 1]),
-        )
+        gear = abs(float(model.actuator_gear[row, 0])) or 1.0
+        stiffness = -float(model.actuator_biasprm[row, 1])
         limit = (
             float(model.actuator_forcerange[row, 1]) * gear if model.actuator_forcelimited[row] else np.inf
         )

@@ -414,7 +414,7 @@ def _covariance_mistake(rows: list[list[float]], size: int) -> str | None:
 
 def _are_parts(errors: list[list[float]], systematic: list[list[float]]) -> bool:
     """Whether errors, each of one cause, are together a part of a covariance."""
-    if any(len(error) != len(systematic) for error in errors):
+    if (errors and not systematic) or any(len(error) != len(systematic) for error in errors):
         return False
     return not errors or _is_part((np.array(errors).T @ np.array(errors)).tolist(), systematic)
 

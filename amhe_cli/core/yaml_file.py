@@ -146,7 +146,7 @@ class YamlFile:
         self.path = path
         self._overrides = overrides or {}
         self._problems: dict[str, tuple[int, int]] = {}
-        self._more = False  # mistakes than are listed
+        self._more = False  # whether there are more mistakes than are listed
         loader, self._node = self._composed()
         for mark, text in loader.duplicates[:_MOST_MISTAKES]:
             self._note(mark, text)

@@ -23,14 +23,23 @@ from amhe_cli.system.parameters.servos import with_servos
 _INERTIA = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
 #: Numbers of a joint that efforts are linear in.
 _JOINT = ("dof_armature", "dof_damping", "dof_dampingpoly", "jnt_stiffness", "dof_frictionloss")
-#: All that efforts are linear in.
-LINEAR = frozenset((*_INERTIA, *_JOINT))
+#: All that efforts are linear in, an inertia as a whole: its mass and moments about the body's origin.
+_LINEAR = frozenset((*_INERTIA, *_JOINT))
 #: Fields that no effort depends on, by their beginning; those of actuators matter only where inputs act.
 _IDLE = ("geom_", "pair_", "tendon_range", "jnt_range", "jnt_actfrc", "dof_sol", "jnt_sol", "numeric_")
 #: Step of finite differences.
 _NEAR = 1e-6
 #: Tables are kept for further calls as long as they have fewer bytes together.
 _KEPT_BYTES = 256 * 2**20
+
+
+def linear_in(edits: ModelEdits) -> bool:
+    """Whether efforts along a motion are linear in all that edits write, so that they have one minimum.
+
+    They are quadratic in a centre of mass that is free without its body's moments, and bend with the axes.
+    """
+    alone = {cells.field for _, written in edits.by_parameter() for cells in written}
+    return _LINEAR.issuperset(edits.fields) and not alone & {"body_ipos", "body_iquat"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

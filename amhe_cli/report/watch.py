@@ -105,9 +105,11 @@ class WatchReport:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._hold_against()
-        self._keep()
-        self._open.__exit__(kind, error, trace)
+        try:
+            self._keep()
+            self._hold_against()
+        finally:
+            self._open.__exit__(kind, error, trace)
 
     def take(self, event: Estimate | str | None) -> str:
         """Take in an estimate, an event in words, or (None) a look at the source.

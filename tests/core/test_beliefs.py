@@ -82,6 +82,7 @@ def changed(file: Path, **changes: object) -> Path:
         ({"covariance": (1e308 * np.eye(4)).tolist()}, "an sd of 1e+154; at most 50 would be valid"),
         ({"covariance__0": [1.0, float("nan"), 0.0, 0.0]}, "finite"),
         ({"systematic": [[0.0]]}, "systematic must be symmetric"),
+        ({"owed": {"x": []}}, "owed must have errors of 4 numbers"),
         ({"systematic": np.diag([0.0, 0.0, 0.0, -1.0]).tolist()}, "systematic must be symmetric, positive"),
         ({"systematic": (1e308 * np.eye(4)).tolist()}, "no more than covariance"),
         ({"colour": "blue"}, "colour"),

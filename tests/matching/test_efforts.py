@@ -9,7 +9,7 @@ import pytest
 from amhe_cli.api.identify import identify
 from amhe_cli.core.errors import ConfigError, SimulationError
 from amhe_cli.core.log import Log
-from amhe_cli.engine.inverse import forces_along
+from amhe_cli.engine.inverse import forces_along, linear_in
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline.clips import whole
 from amhe_cli.matching.cost import MatchingCost
@@ -226,3 +226,10 @@ def test_moments_that_are_free_one_by_one_stay_those_of_a_body():
     written = system.edits.written(theta)["body_inertia"][:, 1]
     assert (2.0 * written.max(axis=1) <= (1.0 + 1e-9) * written.sum(axis=1)).all()
     assert written[2] == pytest.approx(theta[2])
+
+
+def test_efforts_are_linear_in_an_inertia_as_a_whole_and_not_in_a_centre_of_mass_alone():
+    centre = {"set": "center_of_mass", "body": "lower", "axis": "x"}
+    alone = {"x": {"targets": [centre], "nominal": 0.02, "bounds": [-0.2, 0.2], "prior_sd": 0.05}}
+    assert linear_in(system_of(parameters={name: PARAMETERS[name] for name in ("lower", "link")}).edits)
+    assert not linear_in(system_of(parameters=alone).edits)

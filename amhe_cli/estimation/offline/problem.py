@@ -32,8 +32,8 @@ from amhe_cli.system.system import System
 
 #: A parameter whose step of half a prior sd moves no measurement by this many noise sd is out of reach.
 OUT_OF_REACH = 1e-2
-#: Shape of the samples where nothing is integrated, as a share of the usual.
-EXACT = 1e-2
+#: Share of the usual step where efforts are matched, whose slopes do not jitter.
+SHORTEST = 1e-2
 #: Relative rounding of an engine that does not decide it: contacts amplify its rounding beyond that.
 COARSE = 1e-12
 #: Random clips drawn even from a log too short for them side by side.
@@ -174,7 +174,7 @@ class Problem:
         """
         samples, rough = self.settings.identify.samples, self.rough
         if self.system.match == "effort":
-            straight, shape = True, EXACT * shape
+            straight, shape = True, SHORTEST * shape
         return linearise(
             cost, z, first, shape, samples, rng, averaged=rough, straight=straight, reach=self.reach
         )

@@ -16,7 +16,7 @@ import numpy as np
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.each_log import acting
 from amhe_cli.core.parameters import ParameterSpace
-from amhe_cli.engine.inverse import LINEAR
+from amhe_cli.engine.inverse import linear_in
 from amhe_cli.estimation.core.agreement import SURPRISE
 from amhe_cli.estimation.core.information import gauss_newton_step, step_within
 from amhe_cli.estimation.offline import search
@@ -94,7 +94,7 @@ def second_minimum(problem: Problem, finding: Finding, fit: FinalFit) -> Rival |
         finding: Where its search ended.
         fit: The linearisation there.
     """
-    linear = problem.system.match == "effort" and LINEAR.issuperset(problem.system.edits.fields)
+    linear = problem.system.match == "effort" and linear_in(problem.system.edits)
     if linear or problem.rough:  # contacts that jitter make rises everywhere
         return None
     part, space, covariance = _part(problem, fit), problem.system.space, fit.posterior.covariance
