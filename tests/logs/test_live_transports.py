@@ -18,7 +18,7 @@ from amhe_cli.core.signals import Signal
 from amhe_cli.logs.containers.raw import Batch
 from amhe_cli.logs.live import ros
 from amhe_cli.logs.live.messages import LiveSource
-from amhe_cli.logs.live.ros import Dds, RosTransport, Zenoh, dds_type, renamed, ros_type
+from amhe_cli.logs.live.ros import Dds, RosTransport, Zenoh, configuration, dds_type, renamed, ros_type
 from amhe_cli.logs.messages.definitions import Definitions
 from benchmarks.watch import free_endpoint, router
 from examples.ros2_arm import zeros
@@ -204,3 +204,15 @@ def test_topics_are_renamed_as_ros_does() -> None:
     assert renamed(signals, []) == signals
     with pytest.raises(ConfigError, match=r"^`live.remap`: '/a=/b' is no rule"):
         renamed(signals, ["/a=/b"])
+
+
+@pytest.mark.parametrize(
+    ("interface", "peers", "found_by_multicast"),
+    [("127.0.0.1", (), False), ("10.0.0.2", (), True), ("10.0.0.2", ("10.0.0.1",), False)],
+)
+def test_participants_are_found_by_multicast_but_on_loopback_or_among_peers(
+    interface: str, peers: tuple[str, ...], found_by_multicast: bool
+) -> None:
+    given = configuration(interface, peers)
+    assert ("<AllowMulticast>true<" in given) == found_by_multicast
+    assert ("<Peer " in given) != found_by_multicast

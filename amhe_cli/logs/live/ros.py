@@ -138,7 +138,7 @@ class Dds(RosTransport):
         definitions: Definitions of message types.
         domain: ROS_DOMAIN_ID.
         interface: Address of the one network interface to use; None: DDS chooses.
-        peers: Addresses of other computers to look for participants on; none: by multicast.
+        peers: Addresses of other computers to look for participants on; none: by multicast, but on loopback.
 
     Raises:
         ConfigError: The package is missing, or the domain cannot be opened.
@@ -256,16 +256,17 @@ def _digest(qos: Any) -> str:
 
 
 def configuration(interface: str | None, peers: Sequence[str]) -> str:
-    """CycloneDDS's configuration: one interface, or any; no multicast, and participants at these addresses.
+    """CycloneDDS's configuration: one interface, or any; participants at these addresses, or by multicast.
 
-    Without `peers` participants are looked for on the interface itself.
+    Loopback has no multicast: without `peers` participants are looked for on the interface itself.
     """
     uses = f"<NetworkInterface address={quoteattr(interface)}/>" if interface else ""
-    others = "".join(f"<Peer Address={quoteattr(each)}/>" for each in (interface, *peers) if each)
+    alone = bool(peers) or (interface or "").startswith(("127.", "::1"))
+    others = "".join(f"<Peer Address={quoteattr(each)}/>" for each in (interface, *peers) if each and alone)
     return (
-        f"<CycloneDDS><Domain Id='any'><General><Interfaces>{uses}</Interfaces><AllowMulticast>false"
-        f"</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex><Peers>{others}"
-        "</Peers></Discovery></Domain></CycloneDDS>"
+        f"<CycloneDDS><Domain Id='any'><General><Interfaces>{uses}</Interfaces><AllowMulticast>"
+        f"{str(not alone).lower()}</AllowMulticast></General><Discovery><ParticipantIndex>auto"
+        f"</ParticipantIndex><Peers>{others}</Peers></Discovery></Domain></CycloneDDS>"
     )
 
 
