@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from amhe_cli.control.mpopi import Mpopi, Scores, mppi_weights, shift_matrix, spline_basis
+from amhe_cli.control.mpopi import Mpopi, MpopiStep, Scores, mppi_weights, shift_matrix, spline_basis
 from amhe_cli.control.settings import ControlSettings
 from amhe_cli.core.arrays import FloatArray
 
@@ -225,6 +225,17 @@ def test_where_all_diverge_the_mean_only_moves_on(switched: bool) -> None:
     assert step.diverged == step.rollouts == 32
     assert step.effective_samples == 0.0
     assert step.best == step.average == np.inf
+
+
+def test_the_same_source_of_randomness_gives_the_same_plans() -> None:
+    def run(seed: int) -> MpopiStep:
+        mpopi = sampler(seed)
+        for index in range(6):
+            step = mpopi.step(Recorder(bowl(np.full(38, 0.03))), switched=index % 3 == 0)
+        return step
+
+    np.testing.assert_array_equal(run(1).mean, run(1).mean)
+    assert np.abs(run(1).mean - run(2).mean).max() > 1e-4
 
 
 @FEW

@@ -3,8 +3,10 @@
 import signal
 import subprocess
 import sys
+import time
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
+from pathlib import Path
 from threading import Timer
 
 import numpy as np
@@ -13,6 +15,8 @@ import pytest
 from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.engine import cpu, spread
 from amhe_cli.engine.open import contact_variants, open_engine
+from amhe_cli.study.executors import remote
+from tests.clusters import Cluster
 from tests.engine.test_contract import CUBE, PENDULUM, clips, some
 
 
@@ -97,6 +101,25 @@ def test_workers_that_hang_are_warned_of_and_given_up(
     with pytest.raises(AmheError, match=r"no worker has answered for \d s: start them again"):
         open_engine(PENDULUM, executor=Hanging()).rollout(*some(8))
     assert caplog.text.count("one may hang") == 1
+
+
+@pytest.mark.medium
+def test_a_worker_of_a_cluster_that_is_stopped_is_warned_of_and_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    pytest.importorskip("distributed")
+    with Cluster(tmp_path) as cluster, remote(cluster.address) as executor:
+        worker = cluster.worker()
+        engine = open_engine(PENDULUM, executor=executor)
+        assert engine.rollout(*some(8)).completed.all()
+        monkeypatch.setattr(spread, "_DOUBTED", 1.0)
+        monkeypatch.setattr(spread, "_LOST", 4.0)
+        worker.send_signal(signal.SIGSTOP)
+        begun = time.monotonic()
+        with pytest.raises(AmheError, match=r"no worker has answered for \d s: start them again"):
+            engine.rollout(*some(8))
+        assert time.monotonic() - begun < 30.0
+        assert caplog.text.count("one may hang") == 1
 
 
 def test_ctrl_c_ends_a_call_whose_workers_hang(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,6 +11,8 @@ from amhe_cli.core.log import Log
 from amhe_cli.core.signals import Series
 from amhe_cli.estimation.conclude import PARTS
 from amhe_cli.estimation.identification import IdentifyOptions, identify
+from amhe_cli.estimation.offline.checkpoint import _sum
+from amhe_cli.estimation.offline.cma import MEMORY
 from amhe_cli.system.system import System
 from tests.estimation.conftest import CHEAP, TRUTH
 
@@ -130,6 +132,47 @@ def test_a_checkpoint_of_another_problem_is_refused(pendulum, swing, tmp_path):
     file.write_text("not a checkpoint")
     with pytest.raises(ConfigError, match="delete it"):
         identify(pendulum, [swing(3.0)], None, IdentifyOptions(checkpoint=file))
+
+
+ONE = {"array": [1.0], "shape": [1]}
+NAN = {"array": [float("nan")] * 4, "shape": [4]}
+FORGED = {
+    "linearised": [
+        {"z": []}, {"z": "x"}, {"z": ONE}, {"z": NAN}, {"record": []}, {"stage": "x"}, {"scale": {"a": "x"}},
+        {"scale": {"a": 0.0}}, {"number": -1}, {"number": True}, {"settled": 3}, {"straight": "x"},
+        {"shape": {"array": [1.0], "shape": [1, 1]}}, {"first": 3}, {"first": {"mean": ONE, "shape": ONE}},
+        {"trail": ONE}, {"z": {"array": [], "shape": [10**400]}},
+    ],
+    "cmaes": [
+        {"done": 3}, {"number": 0.5}, {"memory": 3}, {"memory": {"_mean": NAN}},
+        {"memory": dict.fromkeys(MEMORY, ONE)},
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("method", FORGED)
+def test_a_forged_checkpoint_whose_checksum_fits_is_refused(pendulum, swing, tmp_path, method):
+    few = pendulum.settings.identify.model_copy(update={"cmaes_iterations": 2})
+    pendulum = replace(pendulum, settings=pendulum.settings.model_copy(update={"identify": few}))
+    options = IdentifyOptions(method, checkpoint=tmp_path / "search.json")
+    identify(pendulum, [swing(3.0)], None, options)
+    saved = json.loads(options.checkpoint.read_text())
+    entry = saved["state"]["record"][-1]
+    entries = [
+        {"theta": [1.0]},
+        {"theta": ["x"] * 4},
+        {"cost": "x"},
+        {"method": 3},
+        {"rollouts": -1},
+        {"cost": 10**400},
+    ]
+    more = {"memory": saved["state"].get("memory", {}) | {"tell": ONE}}  # it would be set on the optimizer
+    for change in (*FORGED[method], more, *({"record": [entry | one]} for one in entries)):
+        state = saved["state"] | change
+        options.checkpoint.write_text(json.dumps(saved | {"state": state, "sum": _sum(state)}))
+        with pytest.raises(ConfigError, match="delete it"):
+            identify(pendulum, [swing(3.0)], None, options)
 
 
 def test_ctrl_c_keeps_the_best_so_far(pendulum, swing, caplog):

@@ -7,12 +7,15 @@ import os
 import resource
 import sqlite3
 import struct
+import subprocess
+import sys
 import time
 import tracemalloc
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias
 
+import lz4.frame
 import numpy as np
 import pytest
 import zstandard
@@ -61,6 +64,57 @@ def record(opcode: int, body: bytes) -> bytes:
     return struct.pack("<BQ", opcode, len(body)) + body
 
 
+def mcap_of(path: Path, *chunks: tuple[str, int, bytes]) -> Path:
+    """An MCAP of chunks: compression, size once unfolded, bytes."""
+    body = b"".join(
+        record(6, struct.pack("<QQQI", 0, 1, size, 0) + struct.pack("<I", len(kind)) + kind.encode()
+               + struct.pack("<Q", len(packed)) + packed)
+        for kind, size, packed in chunks
+    )  # fmt: skip
+    path.write_bytes(b"\x89MCAP0\r\n" + record(1, bytes(8)) + body)
+    return path
+
+
+def zeros(kind: str, mib: int) -> bytes:
+    """So many MiB of zeros, packed without holding them."""
+    if kind == "zstd":
+        packer = zstandard.ZstdCompressor().compressobj(size=mib * 2**20)
+        return b"".join([*(packer.compress(bytes(2**20)) for _ in range(mib)), packer.flush()])
+    with lz4.frame.LZ4FrameCompressor() as packer:
+        return b"".join(
+            [packer.begin(), *(packer.compress(bytes(2**20)) for _ in range(mib)), packer.flush()]
+        )
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("kind", ["zstd", "lz4"])
+def test_a_chunk_of_zeros(kind: str, tmp_path: Path) -> None:
+    found = survey(mcap_of(tmp_path / "log", (kind, 257 * 2**20, zeros(kind, 257))))
+    assert "a piece of 257 MiB is beyond the limit piece_mib = 256 (`limit` piece_mib=1024" in damage(found)
+    within = zeros(kind, 24)
+    with limit(piece_mib=32):
+        found = survey(mcap_of(tmp_path / "log", (kind, 24 * 2**20, within)))
+        assert "has no place there" in damage(found)
+        assert "beyond the limit growth = 100" in refused(
+            mcap_of(tmp_path / "log", *[(kind, 24 * 2**20, within)] * 2)
+        )
+
+
+@pytest.mark.medium
+def test_messages_that_unfold_one_by_one(tmp_path: Path) -> None:
+    folder = write_rosbag2(tmp_path / "log", motion(ROS2, 100))
+    bomb = zeros("zstd", 96)
+    with sqlite3.connect(folder / "log.db3") as database:
+        database.execute("UPDATE messages SET data = ?", (bomb,))
+    text = (folder / "metadata.yaml").read_text()
+    (folder / "metadata.yaml").write_text(
+        text.replace("compression_mode: ''", "compression_mode: MESSAGE").replace(
+            "compression_format: ''", "compression_format: zstd"
+        )
+    )
+    assert "beyond the limit growth = 100" in refused(folder)
+
+
 def test_messages_that_unfold_are_read_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = write_rosbag2(tmp_path / "log", motion(ROS2, 50))
     plain = survey(folder)
@@ -102,6 +156,14 @@ def test_tables_that_are_endless_views(name: str, tmp_path: Path) -> None:
     count = "WITH RECURSIVE c(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM c)"
     path = database_of(tmp_path / "log.db3", **{name: f"CREATE VIEW {name} AS {count} {ENDLESS[name]}"})
     assert f"'{name}' in this database is a view, or computes its content" in refused(path)
+
+
+def test_columns_that_compute_their_content(tmp_path: Path) -> None:
+    columns = TABLES["messages"].replace("data BLOB", "data BLOB AS (zeroblob(500000000))")
+    path = database_of(tmp_path / "log.db3", messages=f"CREATE TABLE messages ({columns})")
+    with sqlite3.connect(path) as database:
+        database.executemany("INSERT INTO messages VALUES (?, 1, ?)", [(i, i) for i in range(50)])
+    assert "computes its content" in refused(path)
 
 
 @pytest.mark.medium
@@ -152,7 +214,7 @@ def cdr_log(path: Path, definition: str, payloads: list[bytes], channels: int = 
 def test_definitions_that_multiply_without_using_a_byte(tmp_path: Path) -> None:
     levels = "".join(f"\n{'=' * 80}\nMSG: a/L{i}\nL{i + 1}[100] x\n" for i in range(5))
     definition = f"L0[100] x\n{levels}{'=' * 80}\nMSG: a/L5\nfloat64[0] s\n"
-    found = survey(cdr_log(tmp_path / "log", definition, [bytes(200 + i) for i in range(60)]))
+    found = survey(cdr_log(tmp_path / "log", definition, [bytes(200 + i) for i in range(300)]))
     assert "its definition has no end" in damage(found)
 
 
@@ -222,6 +284,7 @@ PROTOBUF: dict[str, tuple[Callable[[], Hostile], str]] = {
     "imports in a circle": (
         lambda: ([proto("a", {"M": ["double"]}, "b"), proto("b", {}, "a")], [b""]), "is damaged",
     ),
+    "an import that is missing": (lambda: ([proto("a", {"M": ["double"]}, "b")], [b""]), "is damaged"),
     "types in 400 levels": (lambda: (nested(400), [b""]), "is damaged"),
     "20^12 fields": (
         lambda: (
@@ -230,11 +293,13 @@ PROTOBUF: dict[str, tuple[Callable[[], Hostile], str]] = {
         ),
         "",
     ),
+    "50,000 fields": (lambda: ([proto("a", {"M": ["double"] * 50_000})], [b""]), "is damaged"),
     "a definition of 2 MiB": (
         lambda: ([proto("a", {"M": ["double"], **{f"{i:07}" * 20: [] for i in range(15_000)}})], [b""]),
         "beyond the limit definition_mib = 1",
     ),
     "a varint without an end": (lambda: wide(b"\x08" + b"\xff" * 2**20, "int64"), "1 message damaged"),
+    "a length that lies": (lambda: wide(b"\x0a\xff\xff\xff\xff\x07", "W"), "1 message damaged"),
     "messages in 400 levels": (lambda: wide(b"\x0b" * 400, "M"), "1 message damaged"),
     "empty messages of a wide type": (
         lambda: wide(b"\x0a\x00" * 2**20, "W*"), "beyond the limit piece_mib",
@@ -248,6 +313,7 @@ PROTOBUF: dict[str, tuple[Callable[[], Hostile], str]] = {
     "a name of a megabyte": (
         lambda: wide(b"\x0a\x80\x80\x40" + b"a" * 2**20, "string"), "name has 1048576 characters",
     ),
+    "names without end": (lambda: wide(b"\x0a\x00" * 2**20, "string*"), ""),
 }  # fmt: skip
 
 
@@ -257,6 +323,26 @@ def test_protobuf_that_costs_too_much(kind: str, tmp_path: Path) -> None:
     found = survey(protobuf_log(tmp_path / "log", *make()))
     (topic,) = found.topics
     assert words in damage(found) + (topic.problem or "")
+
+
+def test_a_large_definition_is_held_once(tmp_path: Path) -> None:
+    """A thousand topics share one of 2 MiB, which is refused: 2 GB if each had its own."""
+    with (tmp_path / "log").open("wb") as file:
+        writer = Writer(file, compression=CompressionType.ZSTD)
+        writer.start()
+        about = writer.register_schema("t.M", "protobuf", bytes(2**21))
+        for i in range(1000):
+            writer.add_message(writer.register_channel(f"/t{i}", "protobuf", about), 1, b"", 1)
+        writer.finish()
+    found = survey(tmp_path / "log")
+    assert len(found.topics) == 1000
+    assert all("beyond the limit definition_mib = 1" in (topic.problem or "") for topic in found.topics)
+
+
+def test_names_of_a_megabyte(tmp_path: Path) -> None:
+    payload = struct.pack("<I", 2**20) + b"a" * 2**20
+    found = survey(cdr_log(tmp_path / "log", "string name\n", [payload] * 20))
+    assert "name has 1048576 bytes" in damage(found)
 
 
 BOMBS = {
@@ -412,6 +498,53 @@ def test_a_count_of_episodes_that_no_number_holds(tmp_path: Path) -> None:
     assert "\n" not in str(refusal.value)
 
 
+def test_a_list_of_episodes_that_is_too_large(tmp_path: Path) -> None:
+    pa = pytest.importorskip("pyarrow")
+    import pyarrow.parquet as parquet
+
+    folder = dataset(tmp_path, "v3.0")
+    (episodes,) = (folder / "meta" / "episodes").rglob("*.parquet")
+    zeros = pa.array(np.zeros(2**22, np.int64))
+    table = pa.table(dict.fromkeys(("episode_index", "data/chunk_index", "data/file_index"), zeros))
+    with parquet.ParquetWriter(episodes, table.schema, compression="zstd") as file:
+        for _ in range(4):
+            file.write_table(table)
+    with pytest.raises(AmheError, match="beyond the limit growth = 100"):
+        survey(Path(f"{folder}#0"))
+
+
+_EVERY_BYTE = """
+import sys
+from pathlib import Path
+from amhe_cli.core.errors import AmheError
+from amhe_cli.logs import survey
+path = Path(sys.argv[1])
+content = path.read_bytes()
+for place in range(len(content) - 8 - int.from_bytes(content[-8:-4], "little"), len(content) - 8, 2):
+    changed = bytearray(content)
+    changed[place] ^= 16
+    path.write_bytes(changed)
+    try:
+        survey(path)
+    except AmheError:
+        pass
+print("survived")
+"""
+
+
+@pytest.mark.medium
+def test_a_damaged_footer_of_a_parquet_file_does_not_end_the_process(tmp_path: Path) -> None:
+    """pyarrow aborts where it is asked for a column whose statistics do not fit the schema."""
+    pa = pytest.importorskip("pyarrow")
+    import pyarrow.parquet as parquet
+
+    parquet.write_table(pa.table({"time": np.arange(100.0)}), tmp_path / "log", store_schema=False)
+    command = [sys.executable, "-c", _EVERY_BYTE, str(tmp_path / "log")]
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    ended = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    assert (ended.returncode, ended.stdout) == (0, "survived\n"), ended.stderr
+
+
 def test_texts_in_a_parquet_file_are_not_unfolded(tmp_path: Path) -> None:
     """One text of 16 KiB, 65,536 times, is a small file and a GiB."""
     pa = pytest.importorskip("pyarrow")
@@ -451,7 +584,7 @@ def test_pipes_are_not_waited_for(place: str, tmp_path: Path) -> None:
     assert "a pipe or a device" in refused(PLACES[place](tmp_path))
 
 
-@pytest.mark.parametrize("name", ["../other/part.db3", "{}/other/part.db3", "a\0b"])
+@pytest.mark.parametrize("name", ["../other/part.db3", "{}/other/part.db3", "a\0b", "..", "/"])
 def test_parts_outside_of_the_folder_are_not_opened(name: str, tmp_path: Path) -> None:
     (tmp_path / "log").mkdir()
     (tmp_path / "other").mkdir()

@@ -142,7 +142,7 @@ def test_damage_is_reported_in_one_line(tmp_path: Path) -> None:
     path = dataset(tmp_path, "v3.0")
     rng = np.random.default_rng(3)
     files = sorted(file for file in path.rglob("*") if file.is_file())
-    for number in range(30):
+    for number in range(60):
         file = files[number % len(files)]
         content = file.read_bytes()
         file.write_bytes(mutated(content, rng))

@@ -44,7 +44,6 @@ from tests.logs.log_makers import (
     wrong_samples,
 )
 
-DATA = Path(__file__).parents[2] / "../shared/data"
 N = 60
 
 

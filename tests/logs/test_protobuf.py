@@ -12,6 +12,8 @@ import yaml
 from google.protobuf import descriptor_pb2, timestamp_pb2
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from mcap.writer import Writer
 
 from amhe_cli.core.errors import LogError
@@ -20,6 +22,9 @@ from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
 from amhe_cli.init.folder import init_system
 from amhe_cli.logs import read_signals, survey
+from amhe_cli.logs.containers.raw import Connection, batch_of
+from amhe_cli.logs.messages.definitions import Definitions
+from amhe_cli.logs.messages.split import Splitter
 from tests.logs.test_json import SECOND_POSE
 
 DT = 0.01
@@ -192,6 +197,79 @@ def test_any_type_by_its_paths(tmp_path: Path) -> None:
     np.testing.assert_array_equal(log["s.value"].values, np.stack((-i, i**2, i * 0 + 1, -i, i), axis=1))
     with pytest.raises(LogError, match=r"no number field 'motors\[2\]\.q'.*motors\[0\]\.q"):
         read(path, "position", fields={"position": ("motors[2].q",)})
+
+
+NUMBERS = {
+    "double": st.floats(), "float": st.floats(width=32), "bool": st.booleans(),
+    **{kind: st.integers(-(2**31), 2**31 - 1) for kind in ("int32", "sint32", "sfixed32")},
+    **{kind: st.integers(-(2**63), 2**63 - 1) for kind in ("int64", "sint64", "sfixed64")},
+    **{kind: st.integers(0, 2**32 - 1) for kind in ("uint32", "fixed32")},
+    **{kind: st.integers(0, 2**64 - 1) for kind in ("uint64", "fixed64")},
+}  # fmt: skip
+ANY = {
+    "Part": {kind: kind for kind in NUMBERS} | {"note": "string"},
+    "Whole": {
+        **{f"one_{kind}": kind for kind in NUMBERS},
+        **{f"many_{kind}": f"{kind}*" for kind in NUMBERS},
+        "part": "Part", "parts": "Part*", "again": "Whole", "blob": "bytes", "words": "string*",
+    },
+}  # fmt: skip
+ANY_SET = described(ANY)
+WHOLE = classes(ANY_SET)("Whole")
+CONNECTION = Connection("/x", "foxglove.Whole", "protobuf", ANY_SET.SerializeToString().decode("latin-1"), "")
+
+PART = st.fixed_dictionaries({}, optional={**NUMBERS, "note": st.text(max_size=3)})
+_SHALLOW = {
+    **{f"one_{kind}": values for kind, values in NUMBERS.items()},
+    **{f"many_{kind}": st.lists(values, max_size=3) for kind, values in NUMBERS.items()},
+    "part": PART, "parts": st.lists(PART, max_size=3), "blob": st.binary(max_size=9),
+    "words": st.lists(st.text(max_size=3), max_size=2),
+}  # fmt: skip
+MESSAGE = st.fixed_dictionaries(
+    {}, optional={**_SHALLOW, "again": st.fixed_dictionaries({}, optional=_SHALLOW)}
+)
+
+
+def numbers(message: Any, prefix: str = "") -> dict[str, float]:
+    """Path -> number, by google.protobuf; what is in no message is left out."""
+    found: dict[str, float] = {}
+    for field in message.DESCRIPTOR.fields:
+        value, path = getattr(message, field.name), prefix + field.name
+        each = {f"{path}[{i}]": v for i, v in enumerate(value)} if field.is_repeated else {path: value}
+        for name, one in each.items():
+            if field.type == field.TYPE_MESSAGE:
+                if field.is_repeated or message.HasField(field.name):
+                    found |= numbers(one, f"{name}.")
+            elif field.type not in (field.TYPE_STRING, field.TYPE_BYTES):
+                found[name] = float(one)
+    return found
+
+
+@pytest.mark.medium
+@settings(max_examples=60, deadline=None)
+@given(st.lists(MESSAGE, min_size=1, max_size=4))
+def test_every_number_is_that_of_google_protobuf(contents: list[dict[str, Any]]) -> None:
+    messages = [WHOLE(**content) for content in contents]
+    batch = batch_of(CONNECTION, [0] * len(messages), [0] * len(messages),
+                     [message.SerializeToString() for message in messages])  # fmt: skip
+    splitter = Splitter(CONNECTION, Definitions())
+    seen: set[int] = set()
+    for group in splitter.split(batch):
+        leaves = {
+            f"{path}[{i}]" if leaf.count is not None else path: one.read(group.rows)
+            for path, leaf in group.layout.leaves.items()
+            for i, one in enumerate(group.layout.columns(path))
+        }
+        for row, member in enumerate(group.members.tolist()):
+            wanted = numbers(messages[member])
+            seen.add(member)
+            assert {path: float(leaves[path][row]) for path in wanted} == pytest.approx(
+                wanted, rel=0, abs=0, nan_ok=True
+            )
+            rest = [float(leaves[path][row]) for path in leaves if path not in wanted]
+            assert np.isnan(rest).all()  # of messages that are not there
+    assert seen == set(range(len(messages)))
+    assert splitter.damaged == 0
 
 
 def test_damaged_messages_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

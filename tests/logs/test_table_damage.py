@@ -19,7 +19,7 @@ from tests.logs.ulog_maker import write_ulog
 
 SIGNAL = Signal("joints", "", ("position",), columns={"position": ("q",)})
 #: Mutated files of each format.
-TRIES = 30
+TRIES = 60
 #: A wild time makes a long clock of it: `logs.tracks` stops at 10 million rows.
 _MEMORY = 400 * 2**20
 

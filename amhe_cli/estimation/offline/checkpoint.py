@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict, fields
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -15,12 +16,17 @@ from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.files import write_whole
 from amhe_cli.estimation.core.linearise import FirstStates
 from amhe_cli.estimation.core.result import Iteration
-from amhe_cli.estimation.offline.cma import CmaState
+from amhe_cli.estimation.offline.cma import MEMORY, CmaState, memory_of, restored, start
 from amhe_cli.estimation.offline.problem import Problem
-from amhe_cli.estimation.offline.search import SearchState
+from amhe_cli.estimation.offline.search import SearchState, Stage
+from amhe_cli.matching.starts import first_index
 
 FORMAT = 3
 _STATES = {"linearised": SearchState, "cmaes": CmaState}
+#: What reading a file that is no checkpoint may raise.
+_FAULTS = (ValueError, OverflowError, LookupError, TypeError, AttributeError, OSError, RecursionError)
+#: No number of a search is as large, but costs.
+_LARGE = 1e30
 
 
 class Checkpoint:
@@ -35,7 +41,7 @@ class Checkpoint:
     """
 
     def __init__(self, path: Path | None, problem: Problem, method: str) -> None:
-        self._path = path
+        self._path, self._problem = path, problem
         self._key = _fingerprint(problem, method)
 
     def save(self, state: SearchState | CmaState) -> None:
@@ -62,7 +68,9 @@ class Checkpoint:
             if saved["sum"] != _sum(saved["state"]):
                 raise ValueError("its content was changed")
             state = _restore(saved["kind"], saved["state"])
-        except (ValueError, LookupError, TypeError, AttributeError, OSError, RecursionError) as error:
+            if saved["problem"] == self._key and not _whole(state, self._problem):
+                raise ValueError("its content is no search's")
+        except _FAULTS as error:
             raise ConfigError(
                 f"{self._path}: not a checkpoint of this version ({error}); delete it to start anew"
             ) from None
@@ -118,6 +126,50 @@ def _restore(kind: str, saved: dict[str, Any]) -> SearchState | CmaState:
     if values.get("first"):
         values["first"] = FirstStates(**values["first"])
     return _STATES[kind](**values)
+
+
+def _whole(state: SearchState | CmaState, problem: Problem) -> bool:
+    """Whether a search may have left this state behind: checksums keep nobody from writing another one."""
+    d, c = len(problem.system.space), len(problem.clips)
+    nx = first_index(problem.system).size * (problem.settings.identify.first_state != "never")
+    checks: dict[str, Callable[[Any], bool]] = {
+        "number": _is_count,
+        "stage": lambda value: value in get_args(Stage),
+        **dict.fromkeys(("done", "settled", "straight"), lambda value: isinstance(value, bool)),
+        "z": lambda value: _is_array(value, d),
+        "shape": lambda value: _is_array(value, d, d),
+        "trail": lambda value: _is_array(value, len(value), d) or value.shape == (0, 0),
+        "scale": lambda value: _is_array(np.array([*value.values()]), len(value))
+        and min(value.values(), default=1.0) > 0.0,
+        "record": lambda value: all(_is_entry(one, d) for one in value),
+        "first": lambda value: value is None
+        or (_is_array(value.mean, c, nx) and _is_array(value.shape, c, nx, nx)),
+        "memory": lambda value: value == {} or _is_memory(value, problem),
+    }  # fmt: skip
+    sound = all(checks[one.name](getattr(state, one.name)) for one in fields(state))
+    return sound and (bool(state.record) or not state.done)
+
+
+def _is_array(value: Any, *shape: int) -> bool:
+    numbers = isinstance(value, np.ndarray) and value.dtype.kind in "if"
+    return numbers and value.shape == shape and bool((np.abs(value) < _LARGE).all())
+
+
+def _is_count(value: Any) -> bool:
+    return type(value) is int and 0 <= value < 2**53
+
+
+def _is_entry(one: Iteration, d: int) -> bool:
+    sound = all(map(_is_count, (one.number, one.rollouts, one.diverged)))
+    sound = sound and isinstance(one.method, str) and isinstance(one.stage, str)
+    sound = sound and isinstance(one.cost, float) and one.cost > -np.inf  # it may be infinite
+    return sound and _is_array(np.array((*one.theta, one.sigma)), d + 1)
+
+
+def _is_memory(value: dict[str, Any], problem: Problem) -> bool:
+    *like, (last, history) = memory_of(restored(problem, start(problem), problem.rng(1, 0, 0))).items()
+    sound = len(value) == len(MEMORY) and all(_is_array(value[name], *one.shape) for name, one in like)
+    return sound and value[last].shape == history.shape and value[last].dtype == float  # any values
 
 
 def _array(value: Any) -> Any:

@@ -58,7 +58,7 @@ def advance(problem: Problem, state: CmaState) -> CmaState:
     rng = problem.rng(1, 0, state.number)
     windows = problem.drawn(rng, problem.clip_count)
     cost = problem.cost(windows, state.scale)
-    optimizer = _restored(problem, state, rng)
+    optimizer = restored(problem, state, rng)
     free = np.flatnonzero(problem.active)
     candidates = np.zeros((optimizer.population_size + 1, state.z.size))
     candidates[:-1, free] = [optimizer.ask() for _ in range(optimizer.population_size)]
@@ -97,7 +97,7 @@ def advance(problem: Problem, state: CmaState) -> CmaState:
     )
 
 
-def _restored(problem: Problem, state: CmaState, rng: np.random.Generator) -> CMA:
+def restored(problem: Problem, state: CmaState, rng: np.random.Generator) -> CMA:
     """The optimizer after the last generation, with a generator of this generation's own."""
     from cmaes import CMA  # it loads all of scipy.stats, for a second
 

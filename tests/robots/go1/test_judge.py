@@ -84,6 +84,14 @@ def test_arrival_is_half_a_second_near_the_goal(off: float) -> None:
     assert found.goal_error_m == pytest.approx(off)
 
 
+def test_near_is_five_centimetres() -> None:
+    by = judge(longest=5.0)
+    assert watched(by, arriving(1.0, 0.051)) == pytest.approx(5.0)
+    found = by.measures()
+    assert not by.arrived and found.success and not found.on_time
+    assert found.time_s == 5.0
+
+
 def test_who_leaves_the_goal_begins_the_half_second_again() -> None:
     def passing(t: float) -> State:
         ahead = -2.0 if t < 3.0 - 1e-9 else 0.06 if 3.4 < t < 3.43 else 0.0
@@ -184,6 +192,12 @@ def test_with_one_leg_speed_is_judged_from_the_lift_off_to_the_end() -> None:
     by = judge(T5, longest=lift_off + 2.0)
     watched(by, at)
     assert by.measures().speed_rmse == pytest.approx(0.03)
+
+
+def test_who_falls_at_once_was_not_judged_by_speed() -> None:
+    by = judge()
+    assert by.watch(state(0.02, GOAL, lean=2.0))
+    assert by.measures().speed_rmse is None
 
 
 def test_after_arrival_nothing_is_charged() -> None:

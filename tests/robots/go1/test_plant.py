@@ -38,6 +38,13 @@ def plant(*changes: Change, noise: SensorNoise = DEFAULT, seed: int = 0, box: Bo
     return Plant(plant_model(box), changes, np.random.default_rng(seed), noise)
 
 
+def test_sensors_are_as_noisy_as_the_benchmarks_say() -> None:
+    assert DEFAULT.position == 0.002
+    assert DEFAULT.orientation == pytest.approx(np.radians(0.5))
+    assert (DEFAULT.joint, DEFAULT.joint_rate, DEFAULT.gyro) == (0.003, 0.05, 0.02)
+    assert DEFAULT.pose_period == 0.01
+
+
 @pytest.fixture(scope="module")
 def errors() -> dict[str, FloatArray]:
     """What the sensors said of each instant, less the truth; the robot stands for 2 s."""
@@ -146,6 +153,15 @@ def test_the_same_seed_gives_the_same_measurements() -> None:
     assert (first["joints.position"][1] != other["joints.position"][1]).all() and (
         first["box.position"][1] != other["box.position"][1]
     ).all()
+
+
+def test_noise_does_not_move_the_plant() -> None:
+    ends = []
+    for noise in (SILENT, NOISE):
+        running = plant(noise=noise)
+        running.advance(HOME, 0.1)
+        ends.append(running.qpos)
+    np.testing.assert_array_equal(*ends)
 
 
 def test_changes_come_once_and_the_true_parameters_follow() -> None:

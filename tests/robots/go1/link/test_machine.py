@@ -17,6 +17,7 @@ from amhe_cli.robots.go1.link.machine import TRIPS, Machine
 from amhe_cli.robots.go1.link.mail import HIGHEST, LOWEST, Inbox, Phase, Sent, Targets, allowed
 from amhe_cli.robots.go1.link.packets import SERVO, MotorCommand, pressing
 from amhe_cli.robots.go1.link.sender import next_tick
+from amhe_cli.robots.go1.model import layout, planner_model
 from amhe_cli.robots.go1.settings import Go1Settings, TripSettings
 from tests.robots.go1.link.puppet import FOLDED, a_state
 
@@ -341,6 +342,15 @@ def test_a_joint_outside_of_its_limits_is_led_back_by_no_more_torque() -> None:
     targets = allowed(np.array(HOME), joints, 60.0, 0.7)
     np.testing.assert_allclose(60.0 * (targets - joints)[2::3], 0.7 * TORQUE_LIMIT[2::3])
     assert (targets[2::3] < LOWEST[2::3]).all()
+
+
+def test_the_gains_are_those_of_the_planners_model() -> None:
+    """Of other gains an identification makes another box, and the planner another motion."""
+    model, got = planner_model(), running().step()
+    at = layout(model)
+    np.testing.assert_allclose(got.kp, model.actuator_gainprm[at.servos, 0])
+    servos = -model.actuator_biasprm[at.servos, 2]
+    np.testing.assert_allclose(got.kd, servos + model.dof_damping[at.joints_v])
 
 
 @pytest.mark.parametrize(
