@@ -41,7 +41,7 @@ STEPS = 9
 
 
 def go1_push() -> tuple[System, list[Log]]:
-    """The README's demo: a Go1 pushes a box, with contacts everywhere."""
+    """`make demo`: a Go1 pushes a box, with contacts everywhere."""
     system = System.load("go1_push")
     return system, [read_log(PROJECT / "examples" / "logs" / "t1.mcap", system)]
 

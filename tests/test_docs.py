@@ -6,10 +6,12 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
+from amhe_cli.core.limits import Limits
 from amhe_cli.estimation.core.result import VERDICTS
 from tests.test_architecture import ALLOWED
 
@@ -55,6 +57,18 @@ def test_links_lead_somewhere(page: Path) -> None:
 def test_named_modules_exist(page: Path) -> None:
     for name in set(re.findall(r"`([\w./]+\.py)`", page.read_text(encoding="utf-8"))):
         assert (ROOT / "amhe_cli" / name).exists() or (ROOT / name).exists(), name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_no_conflict_is_left(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert [line for line in text.splitlines() if re.match(r"^(<{7}|={7}|>{7})( |$)", line)] == []
+
+
+def test_the_table_of_limits_has_their_defaults() -> None:
+    text = (ROOT / "docs" / "security.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| .* \| ([\d,]+) \| .* \|$", text, re.MULTILINE)
+    assert {name: int(value.replace(",", "")) for name, value in rows} == asdict(Limits())
 
 
 def test_every_room_is_described() -> None:

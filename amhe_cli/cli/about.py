@@ -14,7 +14,7 @@ _EXAMPLES = {
     "arm": "a three-joint arm of servos as a CSV: the tutorial's log, with a model to begin from",
     "arm_torque": "an arm whose joint torques were measured, and no commands; with a model",
     "pusher": "a pusher that moves a block on a table",
-    "t1": "a simulated Go1 pushes a box: the README's demo",
+    "t1": "a simulated Go1 pushes a box: `make demo`",
     "t4": "the same onto another floor: amhe mhe-replay without a log takes it",
 }
 

@@ -217,8 +217,8 @@ class MheSettings(SettingsGroup):
     below it is skipped, unless it indicates a jump: samples around a light box hardly move the predictions
     while the true box is heavy."""
     jump: Positive = 3.0
-    """Distance between the estimate of one window alone and the belief that indicates a jump of the
-    parameters, in sd of a single number that is as unlikely."""
+    """Innovation that indicates a jump of the parameters: the squared distance between window and belief, as
+    the number of sd at which a single normal number is as unlikely."""
     jump_windows: Annotated[int, Field(ge=1)] = 1
     """Number of such windows in a row that are needed for a jump. A single one may come from a contact that
     the model missed."""

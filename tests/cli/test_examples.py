@@ -1,4 +1,4 @@
-"""Bundled logs by name, from any folder; the README's demo."""
+"""Bundled logs by name, from any folder; what the README shows; the demo's log."""
 
 import json
 import re
