@@ -300,9 +300,11 @@ def _read(path: Path, system: Described | None, belief_anyway: bool) -> Belief:
     mistake = _covariance_mistake(content.covariance, len(names))
     if mistake:
         file.problem(("covariance",), mistake)
-    elif content.systematic is not None and not _is_part(content.systematic, content.covariance):
+    elif content.systematic is not None and not _is_part(
+        content.systematic, content.covariance, content.covariance
+    ):
         file.problem(("systematic",), "systematic must be symmetric, positive and no more than covariance")
-    elif not _are_parts(list(content.owed.values()), content.systematic or []):
+    elif not _are_parts(list(content.owed.values()), content.systematic or [], content.covariance):
         file.problem(("owed",), f"owed must have errors of {len(names)} numbers, a part of systematic")
     for i, entry in enumerate(content.parameters if not mistake else ()):
         sd, most = content.covariance[i][i] ** 0.5, _widest(entry)
@@ -412,19 +414,22 @@ def _covariance_mistake(rows: list[list[float]], size: int) -> str | None:
     return None
 
 
-def _are_parts(errors: list[list[float]], systematic: list[list[float]]) -> bool:
-    """Whether errors, each of one cause, are together a part of a covariance."""
+def _are_parts(
+    errors: list[list[float]], systematic: list[list[float]], covariance: list[list[float]]
+) -> bool:
+    """Whether errors, each of one cause, are together a part of what is systematic in a covariance."""
     if (errors and not systematic) or any(len(error) != len(systematic) for error in errors):
         return False
-    return not errors or _is_part((np.array(errors).T @ np.array(errors)).tolist(), systematic)
+    return not errors or _is_part((np.array(errors).T @ np.array(errors)).tolist(), systematic, covariance)
 
 
-def _is_part(rows: list[list[float]], covariance: list[list[float]]) -> bool:
-    """Whether the first is a part of the second, a covariance."""
+def _is_part(rows: list[list[float]], whole: list[list[float]], covariance: list[list[float]]) -> bool:
+    """Whether the first is a part of the second, but for rounding in units of the sds of a covariance."""
     if len(rows) != len(covariance) or any(len(row) != len(rows) for row in rows):
         return False
-    part, whole = np.array(rows), np.array(covariance)
-    scale = np.sqrt(np.outer(whole.diagonal(), whole.diagonal()))
-    if not np.allclose(part, part.T) or (np.abs(part) > (1.0 + _PART) * scale).any():
+    sd = np.sqrt(np.diagonal(covariance))
+    with np.errstate(over="ignore"):  # what is infinite is no part
+        part, rest = (np.array(matrix) / sd / sd[:, None] for matrix in (rows, np.subtract(whole, rows)))
+    if not np.allclose(part, part.T) or (np.abs(part) > 1.0 + _PART).any():
         return False
-    return min(np.linalg.eigvalsh(matrix / scale).min() for matrix in (part, whole - part)) > -_PART
+    return min(np.linalg.eigvalsh(matrix).min() for matrix in (part, rest)) > -_PART

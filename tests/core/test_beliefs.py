@@ -45,6 +45,11 @@ def test_a_belief_survives_its_file(file: Path) -> None:
     whole = replace(belief, systematic=np.outer(error, error), owed={"the base's tilt": error})
     whole.save(file)
     np.testing.assert_array_equal(Belief.load(file, SYSTEM).owed["the base's tilt"], error)
+    least = error * [1e-17, 1.0, 1.0, 1.0]  # rounding is all that is left of it where nothing is owed
+    rounded = np.outer(least, least)
+    rounded[0, 0] *= 0.3
+    replace(belief, systematic=rounded, owed={"the base's tilt": least}).save(file)
+    assert Belief.load(file, SYSTEM).owed.keys() == {"the base's tilt"}
     replace(whole, owed={"the base's tilt": 1.1 * error}).save(file)
     with pytest.raises(ConfigError, match="owed must have errors"):
         Belief.load(file, SYSTEM)
