@@ -83,9 +83,10 @@ def inherited(space: ParameterSpace, fit: FinalFit, terms: list[Term]) -> list[T
     """Terms of logs whose prior is a belief with a shared part S, which errs as these logs do.
 
     The shared errors of these logs move the estimate by 1 - G of themselves, where the prior has the weight
-    G, and those of the belief by G. Errors that have one named cause add up, each with its sign; those of a
-    load are another load's, and stand alone, as do those that only the belief has. Of the rest nobody knows
-    the causes: they count as the same, so that the errors add up, and not their squares.
+    G, and those of the belief by G. Errors that have one named cause add up, each with its sign.
+    Errors of a load stand alone, since another load has its own; so do those that only the belief has.
+    Nobody knows the causes of the rest: they count as the same, so that the errors add up, and not their
+    squares.
     """
     if space.prior_systematic is None:
         return terms
