@@ -60,8 +60,10 @@ def test_dds_brings_what_is_published() -> None:
     pytest.importorskip("cyclonedds")
     transport = Dds({"/arm/joint_states"}, Definitions(), 79, "127.0.0.1")
     try:
+        transport.announce("/amhe/jump", "sensor_msgs/msg/JointState")
         check(exchanged(transport, transport))
         assert transport.notes() == []
+        assert {one.topic for one in transport.connections} == {"/arm/joint_states"}  # its own is no offer
     finally:
         transport.close()
 

@@ -215,7 +215,8 @@ class Dds(RosTransport):
         for found in self._look.take(_DEPTH):
             alive = found.sample_info.instance_state == self._dds.core.InstanceState.Alive
             name, kind = str(found.topic_name), ros_type(str(found.type_name))
-            if not alive or not name.startswith("rt/"):
+            own = name[2:] in self._writers and name[2:] not in (self._topics or ())
+            if not alive or not name.startswith("rt/") or own:
                 self._senders.pop(found.key, None)
             elif (connection := self.offered(name[2:], kind, _digest(found.qos))) is not None:
                 if len(self._senders) < _DEPTH:
