@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import re
 import socket
 import subprocess
 import sys
@@ -27,6 +28,9 @@ Forge = Callable[[int, dict[str, Any]], list[dict[str, Any]]]
 WALKS = 0.03
 #: From this pose on it pushes the box.
 _PUSHING = 200
+
+#: What is said of poses that froze: by legs that move, or by cameras whose noise is gone.
+FROZEN = "cameras and legs contradict each other|its cameras were never so still"
 
 
 class Relay:
@@ -99,8 +103,8 @@ def walked(tmp_path: Path, forge: Forge, seconds: float) -> tuple[int, str, dict
 @pytest.mark.parametrize(
     ("body", "noise", "slide", "latest", "message"),
     [
-        ("go1", 0.0, 0.0, 0.5, "cameras and legs contradict each other"),
-        ("go1", 1e-6, 0.0, 0.5, "trip pose_false: "),
+        ("go1", 0.0, 0.0, 0.5, FROZEN),
+        ("go1", 1e-6, 0.0, 0.5, FROZEN),
         ("go1", 1e-6, 0.3, 0.5, "cameras and legs contradict each other"),
         ("box", 0.0, 0.0, 1.0, "cm inside the box"),
         ("box", 1e-6, 0.0, 1.0, "cm inside the box"),
@@ -124,7 +128,7 @@ def test_a_pose_that_freezes_or_slides_damps_the_motors(
     assert not wrong
     assert (code, record["link"]["trip"], record["link"]["dropped_poses"]) == (1, "pose_false", 2), printed
     assert record["diverged"] == 0
-    assert message in printed
+    assert re.search(message, printed), printed
     log = read_log(tmp_path / "out/log.mcap", System.load("go1_push"))
     seen = log.series["trunk.position" if body == "go1" else "box.position"]
     ahead = seen.values[seen.valid, 0]  # it slides aside
