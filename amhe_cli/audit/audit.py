@@ -267,18 +267,22 @@ def _lines(
     log, factor = system.space.log[rows], np.array([claim.factor for claim in claims])
     value = factor * theta_of(log, logged.mean)
     sd = logged.sd * np.where(log, value, factor)
-    told = (logged.sd <= sheet) & (not found.unexplained)
-    verdicts = np.where(wrong, VERDICTS[0], np.where(told, VERDICTS[1], VERDICTS[2]))
+    verdicts = verdicts_of(wrong, (logged.sd <= sheet) & (not found.unexplained))
     weight = _weights(system, found, claims, wrong, logs)
     lines = [
         Line(
             c.number.of, c.number.what, c.number.unit, c.parameter, c.value, float(value[i]), float(sd[i]),
-            float(t[i]), float(chance[i]), str(verdicts[i]), weight[i],
+            float(t[i]), float(chance[i]), verdicts[i], weight[i],
             _cure(system, found, evidence, c) if verdicts[i] == VERDICTS[2] else "",
         )
         for i, c in enumerate(claims)
     ]  # fmt: skip
     return in_order(lines)
+
+
+def verdicts_of(wrong: BoolArray, determined: BoolArray) -> list[Verdict]:
+    """The verdict of each number that the logs contradict, or determine."""
+    return np.where(wrong, VERDICTS[0], np.where(determined, VERDICTS[1], VERDICTS[2])).tolist()
 
 
 def in_order(lines: Iterable[Line]) -> list[Line]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from amhe_cli.audit.audit import VERDICTS, Line, in_order
+from amhe_cli.audit.audit import Line, in_order, verdicts_of
 from amhe_cli.audit.claims import sheet_of
 from amhe_cli.audit.judge import chances, contradicted
 from amhe_cli.audit.weight import anywhere, weights
@@ -22,6 +22,8 @@ from amhe_cli.system.system import System
 
 #: Share from which two numbers differ: files are written with three digits or more.
 _SAME = 2e-3
+#: Step of a parameter for its slope, in its sd.
+_STEP = 0.1
 #: Size below which lengths [m], inertias and others are zero.
 _ZERO = 1e-9
 
@@ -120,10 +122,6 @@ def _named(model: mujoco.MjModel, kind: str) -> list[str]:
     return [n for n in names if model.body_weldid[model.body(n).id] and model.body(n).mass[0] > 0.0]
 
 
-#: Step of a parameter for its slope, in its sd.
-_STEP = 0.1
-
-
 def held_against(system: System, belief: Belief, file: mujoco.MjModel) -> list[Line]:
     """The numbers of a file that the parameters of a result set, and whether the result contradicts them.
 
@@ -149,26 +147,16 @@ def held_against(system: System, belief: Belief, file: mujoco.MjModel) -> list[L
             others.append(own.written(model, number.values(file)))
     log, said, sd, sheet = np.array([row for _, row in rows]).reshape(-1, 4).T
     t = (log - said) / np.sqrt(sd**2 + sheet**2)
-    chance, told = chances(t), sd <= np.maximum(sheet, 1e-12)
-    verdicts = np.where(contradicted(chance), VERDICTS[0], np.where(told, VERDICTS[1], VERDICTS[2])).tolist()
+    chance = chances(t)
+    verdicts = verdicts_of(contradicted(chance), sd <= np.maximum(sheet, 1e-12))
     worth = weights(model, others, anywhere(model))
     return in_order(
         Line(
-            n.of,
-            n.what,
-            n.unit,
-            "",
-            float(said[i]),
-            float(log[i]),
-            float(sd[i]),
-            float(t[i]),
-            float(chance[i]),
-            verdicts[i],
-            worth[i],
-            "",
+            n.of, n.what, n.unit, "", float(said[i]), float(log[i]), float(sd[i]), float(t[i]),
+            float(chance[i]), verdicts[i], worth[i], "",
         )
         for i, (n, _) in enumerate(rows)
-    )
+    )  # fmt: skip
 
 
 def _slope(system: System, theta: FloatArray, number: ModelNumber) -> FloatArray:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
+from amhe_cli.core.errors import and_more
+
 #: Findings of one kind that are said each, and names that one finding lists.
 _EACH, _NAMED = 3, 6
 
@@ -28,7 +30,7 @@ _CURES = {
     "overlap": "exclude the pair, or mend the shapes or the home pose",
     "still": "move it: `amhe probe` writes an excitation",
     "gaps": "`amhe inspect` says when: record without silences, or loosen `logs.max_gap`",
-    "saturated": "then its gain cannot be told: command smaller steps, or is the gain wrong?",
+    "saturated": "then its gain cannot be determined: command smaller steps, or is the gain wrong?",
     "contact": "record without contact, or exclude the pair if they do not touch on the robot",
 }
 
@@ -75,6 +77,5 @@ def worst_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
 def _together(alike: list[Finding], say: Callable[[Finding], str]) -> Finding:
     """Findings of one kind as one, of the size and with the cure of the worst."""
     worst = max(alike, key=lambda one: one.size)
-    names = [one.where for one in alike]
-    where = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
+    where = and_more([one.where for one in alike], _NAMED)
     return Finding(worst.kind, where, say(worst), worst.size, worst.cure)

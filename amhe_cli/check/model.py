@@ -63,6 +63,11 @@ def _name(model: mujoco.MjModel, kind: str, row: int) -> str:
     return getattr(model, kind)(int(row)).name or f"{kind} {row}"
 
 
+def touching(model: mujoco.MjModel, contact: mujoco.MjContact) -> str:
+    """The names of the two bodies of a contact, in their order by name."""
+    return ", ".join(sorted(_name(model, "body", model.geom_bodyid[geom]) for geom in contact.geom))
+
+
 def _bodies(model: mujoco.MjModel) -> Iterator[Doubt]:
     """Links that weigh next to nothing, and what moves against its shape, but for small parts of it."""
     welded = np.bincount(model.body_weldid, model.body_mass, model.nbody)
@@ -247,7 +252,7 @@ def _weight(model: mujoco.MjModel, joints: IntArray) -> FloatArray:
 def _overlaps(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Doubt]:
     deepest: dict[str, float] = {}
     for contact in data.contact[: data.ncon]:
-        pair = ", ".join(sorted(_name(model, "body", model.geom_bodyid[geom]) for geom in contact.geom))
+        pair = touching(model, contact)
         deepest[pair] = max(deepest.get(pair, 0.0), -float(contact.dist))
     for pair, depth in deepest.items():
         size = _if(depth > _OVERLAP, 1.0 + depth / 0.01)

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from amhe_cli.check.findings import Doubt, Finding
+from amhe_cli.check.model import touching
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import LogError
 from amhe_cli.core.log import Log
@@ -149,14 +150,9 @@ def _along(system: System, log: Log) -> Iterator[Doubt]:
     for qpos in states.qpos:
         data.qpos[:] = qpos
         mujoco.mj_fwdPosition(model, data)
-        touching = {_pair(model, one) for one in data.contact[: data.ncon] if one.dist < 0.0}
-        often.update(("contact", pair) for pair in touching)
+        pairs = {touching(model, one) for one in data.contact[: data.ncon] if one.dist < 0.0}
+        often.update(("contact", pair) for pair in pairs)
     says = {"saturated": "it gives all its force", "contact": "they touch"}
     for (kind, where), count in often.items():
         if (share := count / len(states.qpos)) > _OFTEN:
             yield kind, where, f"{says[kind]} {share:.0%} of the time", 1.0 + share
-
-
-def _pair(model: mujoco.MjModel, contact: mujoco.MjContact) -> str:
-    bodies = (int(model.geom_bodyid[geom]) for geom in contact.geom)
-    return ", ".join(sorted(model.body(body).name or f"body {body}" for body in bodies))

@@ -90,7 +90,7 @@ def check(session: Session, given: Given) -> int | None:
 
 
 def _told(logs: Sequence[Log], texts: Iterable[str]) -> Iterator[Finding]:
-    """What was said of logs on reading them, and at first sight: clocks, spikes, damage, signs, units."""
+    """What was reported when logs were read, and at first sight: clocks, spikes, damage, signs, units."""
     from amhe_cli.check.findings import Finding
     from amhe_cli.cli.advice import entry_of
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 
@@ -57,6 +57,12 @@ class Ending:
 
     interrupted: bool = False
     error: Exception | None = None
+
+
+def and_more(names: Sequence[str], most: int) -> str:
+    """The first names, and how many more there are: 'a, b and 3 more'."""
+    rest = f" and {len(names) - most} more" if len(names) > most else ""
+    return f"{', '.join(names[:most])}{rest}"
 
 
 def one_of(kind: str, name: str, known: Iterable[str]) -> str:

@@ -36,14 +36,14 @@ def audit_table(lines: Sequence[Line]) -> Table:
     """The numbers of a file, and what the log says of them."""
     rows = []
     for line in lines:
-        wrong, told = line.verdict == VERDICTS[0], line.verdict != VERDICTS[2]
-        says = told or line.sd < abs(line.file)
+        wrong, judged = line.verdict == VERDICTS[0], line.verdict != VERDICTS[2]
+        says = judged or line.sd < abs(line.file)
         rows.append(
             (
                 line.of, line.what, f"{line.file:.4g}",
                 numbers.with_sd(line.log, line.sd) if says else numbers.MISSING,
                 numbers.unit_of(line.unit),
-                f"{line.verdict}: {abs(line.t):.1f} sd" if told else line.verdict,
+                f"{line.verdict}: {abs(line.t):.1f} sd" if judged else line.verdict,
                 numbers.percent(line.weight) if wrong else "",
             )
         )  # fmt: skip

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.padding import Padding
 from rich.text import Text
 
-from amhe_cli.core.errors import printable
+from amhe_cli.core.errors import and_more, printable
 from amhe_cli.core.files import plain
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs import Inspection, Survey, TopicSurvey
@@ -110,13 +110,12 @@ def _content(topic: TopicSurvey) -> Text:
     if topic.problem:
         return Text.assemble((kind, "dim"), ": ", (printable(topic.problem), "yellow"))
     entries = topic.entries or tuple(topic.paths)
-    shown = printable(", ".join(entries[:MAX_ENTRIES]))
-    more = f" and {len(entries) - MAX_ENTRIES} more" if len(entries) > MAX_ENTRIES else ""
+    shown = printable(and_more(entries, MAX_ENTRIES))
     if topic.encoding == "table":
-        return Text(f"columns {shown}{more}", style="dim")
+        return Text(f"columns {shown}", style="dim")
     what = ", ".join(topic.quantities) or ("fields by path" if topic.paths else "no measurement")
     clock = f", {topic.clock} stamps" if topic.count else ""
-    return Text(f"{kind}{clock}: {what}{f' of {shown}{more}' if shown else ''}", style="dim")
+    return Text(f"{kind}{clock}: {what}{f' of {shown}' if shown else ''}", style="dim")
 
 
 def _remarks(survey: Survey) -> list[str]:

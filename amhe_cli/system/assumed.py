@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.errors import and_more
 from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.system.description.data import Channel
@@ -295,9 +296,7 @@ def _grouped(
             value = float(f"{one.cells[0].of(model)[0]:.6g}")
             groups.setdefault((one.setting, one.kind, value), []).append(one)
     for (setting, kind, value), equal in groups.items():
-        names = [one.of for one in equal]
-        more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
-        name = f"the {kind} of {', '.join(names[:_LISTED])}{more}"
+        name = f"the {kind} of {and_more([one.of for one in equal], _LISTED)}"
         cells = [cell for one in equal for cell in one.cells]
         hits = [one.acts for one in equal if one.acts is not None]
         found = _share(setting, name, f"{value:g}", cells, getattr(settings, setting))

@@ -6,6 +6,7 @@ import logging
 
 import numpy as np
 
+from amhe_cli.core.errors import and_more
 from amhe_cli.estimation.core.information import channel_times, split
 from amhe_cli.estimation.offline.clips import clip_name
 from amhe_cli.estimation.offline.problem import Problem
@@ -151,8 +152,7 @@ def _remedy(system: System, key: str) -> str:
     held = held_fixed(system, key)
     if not held:
         return "free what it may lack"
-    more = f" and {len(held) - LISTED} more" if len(held) > LISTED else ""
-    return f"free what it may have wrong; now fixed are {', '.join(held[:LISTED])}{more}"
+    return f"free what it may have wrong; now fixed are {and_more(held, LISTED)}"
 
 
 def held_fixed(system: System, key: str) -> list[str]:
