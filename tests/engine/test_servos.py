@@ -9,12 +9,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from amhe_cli.core.errors import ConfigError, SimulationError
+from amhe_cli.core.errors import ConfigError
 from amhe_cli.engine.inverse import forces_along
 from amhe_cli.engine.open import open_engine
+from amhe_cli.engine.rollout import Engine
 from amhe_cli.system.export.mjcf import identified_xml
 from amhe_cli.system.parameters.servos import Servos
 from amhe_cli.system.system import System
+from tests.engine.conftest import Open
 
 STEP, KP, LIMIT, STEPS = 0.002, 2.0, 0.8, 300
 #: A load that a servo swings.
@@ -41,26 +43,32 @@ def swing(words: Mapping[str, float] = WORDS, signals: tuple[str, ...] = (), xml
     return System.from_model(mujoco.MjSpec.from_string(xml), parameters=parameters, signals=given, warn=False)
 
 
-def rolled(system: System, *told: np.ndarray | float, theta: np.ndarray | None = None) -> np.ndarray:
+def rolled(
+    system: System,
+    *told: np.ndarray | float,
+    theta: np.ndarray | None = None,
+    engine: Engine | None = None,
+) -> np.ndarray:
     """Positions of candidates under COMMAND and what else the log says, shape (n, STEPS)."""
     theta = system.space.nominal[None] if theta is None else theta
     inputs = np.stack([COMMAND, *(np.broadcast_to(one, STEPS) for one in told)], axis=1)
     rest, n = np.zeros((len(theta), 1)), len(theta)
-    engine = open_engine(system, threads=1)
+    engine = engine or open_engine(system, threads=1)
     done = engine.rollout(theta, rest, rest, np.repeat(inputs[None], n, 0), np.full(n, STEPS))
     assert done.completed.all()
     return done.qpos[..., 0]
 
 
-def by_hand(volts: float = 7.4, on: np.ndarray | float = 1.0, **words: float) -> np.ndarray:
+def by_hand(volts: np.ndarray | float = 7.4, on: np.ndarray | float = 1.0, **words: float) -> np.ndarray:
     """The same motion, with the servo's torque as a force at the joint."""
     model = mujoco.MjModel.from_xml_string(SWING.replace("<position", "<motor").replace(f'kp="{KP}"', ""))
     model.actuator_forcelimited[:] = 0
     data, path, of = mujoco.MjData(model), [], dict.fromkeys(WORDS, 0.0) | words
-    for command, enabled in zip(COMMAND, np.broadcast_to(on, STEPS), strict=True):
+    told = (np.broadcast_to(one, STEPS) for one in (volts, on))
+    for command, supply, enabled in zip(COMMAND, *told, strict=True):
         error, speed = command - data.qpos[0], data.qvel[0]
         duty = min(max(KP * abs(error) / LIMIT, of["punch"]), 1.0) * (abs(error) > of["dead_band"])
-        torque = LIMIT * np.sign(error) * duty * volts / 7.4 - of["back_emf"] * speed
+        torque = LIMIT * np.sign(error) * duty * supply / 7.4 - of["back_emf"] * speed
         data.ctrl[0] = enabled * torque / (1.0 + of["supply_sag"] * duty**2)
         mujoco.mj_step(model, data)
         path.append(data.qpos[0])
@@ -82,6 +90,26 @@ def test_the_supply_and_the_enabling_come_from_the_log() -> None:
         rolled(system, 5.9, on)[0], by_hand(volts=5.9, on=on, back_emf=0.05), atol=1e-12
     )
     assert [driving.delayed for driving in system.inputs] == [True, False, False]
+
+
+def test_engines_agree(opened: Open) -> None:
+    """With the loop by hand, in company and alone; and with one thread, beside friction of gears."""
+    on, volts = (np.arange(STEPS) < 200).astype(float), 7.0 + 0.5 * np.sin(np.arange(STEPS) / 20.0)
+    geared = SWING.replace(
+        "</mujoco>",
+        '<custom><numeric name="gear_friction/hip" data="0.1 0.3 0.05 0.2 1 0 0 0"/></custom></mujoco>',
+    )
+    for xml in (SWING, geared):
+        system = swing(WORDS, ("voltage", "enabled"), xml)
+        engine, theta = opened(system), np.tile(system.space.nominal, (3, 1))
+        theta[1, :4], theta[2, 0] = 0.0, 0.2
+        paths = rolled(system, volts, on, theta=theta, engine=engine)
+        expected = rolled(system, volts, on, theta=theta)
+        if xml is SWING:
+            expected[:2] = by_hand(volts=volts, on=on, **WORDS), by_hand(volts=volts, on=on)
+        np.testing.assert_allclose(paths, expected, atol=max(1e-12, 1e3 * engine.precision))
+        alone = rolled(system, volts, on, theta=theta[2:], engine=engine)
+        np.testing.assert_array_equal(alone[0], paths[2])
 
 
 def test_without_any_of_it_a_servo_is_mujocos() -> None:
@@ -118,11 +146,3 @@ def test_mistakes_are_named() -> None:
         swing(xml=SWING.replace(f'forcerange="-{LIMIT} {LIMIT}"', ""))
     with pytest.raises(ConfigError, match="nothing says at which"):
         open_engine(swing({"punch": 0.1}, ("voltage",)))
-
-
-def test_a_card_stands_aside() -> None:
-    blueprint = pytest.importorskip("amhe_cli.engine.gpu.blueprint")
-    system = swing()
-    shared = blueprint.Blueprint(system.model, system.edits, system.input_spec, False)
-    with pytest.raises(SimulationError, match="knows no punch"):
-        blueprint.check_supported(shared, "cpu")

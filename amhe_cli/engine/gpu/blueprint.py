@@ -16,6 +16,7 @@ from amhe_cli.core.errors import SimulationError
 from amhe_cli.engine.states import first_activations
 from amhe_cli.system.parameters.gear_friction import GearFriction
 from amhe_cli.system.parameters.model_edits import ModelEdits
+from amhe_cli.system.parameters.servos import BIAS, Servos
 
 #: Constants that `set_const` derives from masses, inertias and armatures: each world has its own.
 DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "tendon_invweight0", "actuator_acc0")
@@ -41,6 +42,8 @@ class Blueprint:
     def nominal(self) -> mujoco.MjModel:
         """The model that the card gets; mujoco-warp leaves out terms that are zero in it."""
         model = self.edits.apply(self.model, self.edits.space.nominal)
+        if self.servos is not None:
+            self.servos.unlimit(model)
         # mujoco-warp has no reset of bad states; kernels.watch marks them and sends them home
         model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         if not self.sensors:
@@ -52,15 +55,21 @@ class Blueprint:
         """Fields of the model of which each world has its own."""
         derived = DERIVED if self.edits.needs_set_const else ()
         bounded = () if self.gear is None else ("dof_frictionloss",)
+        driven = () if self.servos is None else (BIAS,)
         written = (
             name for name in self.edits.fields if name != "numeric_data"
         )  # no field of the card's model
-        return tuple(dict.fromkeys((*written, *derived, *bounded)))
+        return tuple(dict.fromkeys((*written, *derived, *bounded, *driven)))
 
     @cached_property
     def gear(self) -> GearFriction | None:
         """The joints whose friction is not constant."""
         return self.edits.gear_friction
+
+    @cached_property
+    def servos(self) -> Servos | None:
+        """The servos that are more than a gain and a limit."""
+        return self.edits.servos
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +95,6 @@ def check_supported(blueprint: Blueprint, device: str) -> None:
     Raises:
         SimulationError: It cannot; the text says what it lacks.
     """
-    if blueprint.edits.servos is not None:
-        raise SimulationError("a card knows no punch, dead band or supply of servos; take the engine 'cpu'")
     try:
         with wp.ScopedDevice(device):
             mjw.put_model(blueprint.nominal)

@@ -15,6 +15,8 @@ from amhe_cli.system.parameters.gear_friction import AHEAD
 #: MuJoCo's own bound (mjMAXVAL): a state beyond it has diverged.
 LARGEST = wp.constant(1.0e10)
 LEAP = wp.constant(AHEAD)
+#: What mujoco-warp has of an actuator's gain, and of its bias.
+VECTOR = wp.types.vector(length=10, dtype=float)
 #: Buffers that were too small; the worlds are made again with larger ones.
 FULL = wp.constant(
     int(
@@ -156,6 +158,48 @@ def hold(
         line = now + (now - before[world, joint]) * (0.5 + 0.5 / float(every))
         holds[world, dof] = wp.clamp(line, now / LEAP, now * LEAP)
     before[world, joint] = now
+
+
+@wp.kernel
+def drive(
+    places: wp.array2d[int],
+    numbers: wp.array3d[float],
+    limited: wp.array[bool],
+    ctrlrange: wp.array2d[wp.vec2],
+    gear: wp.array[float],
+    gainprm: wp.array2d[VECTOR],
+    forcerange: wp.array2d[wp.vec2],
+    qpos: wp.array2d[float],
+    qvel: wp.array2d[float],
+    ctrl: wp.array2d[float],
+    biasprm: wp.array2d[VECTOR],
+):
+    """What a servo's torque is beyond its gains, as `Servos.law` has it. Thread (world, servo)."""
+    world, servo = wp.tid()
+    row = places[servo, 0]
+    control = places[servo, 3]
+    volts = places[servo, 4]
+    enabled = places[servo, 5]
+    command = ctrl[world, control]
+    if limited[control]:
+        within = ctrlrange[world % ctrlrange.shape[0], control]
+        command = wp.clamp(command, within[0], within[1])
+    gain = gainprm[world % gainprm.shape[0], row][0]
+    limit = forcerange[world % forcerange.shape[0], row][1]
+    bias = biasprm[world, row]
+    speed = gear[servo] * qvel[world, places[servo, 2]]
+    alone = gain * command + bias[1] * gear[servo] * qpos[world, places[servo, 1]] + bias[2] * speed
+    duty = wp.min(wp.max(wp.abs(alone) / limit, numbers[world, servo, 0]), 1.0)
+    if wp.abs(alone) <= gain * numbers[world, servo, 1]:
+        duty = 0.0
+    driven = limit * duty * wp.where(alone < 0.0, -1.0, 1.0)
+    if volts >= 0:
+        driven *= ctrl[world, volts] / numbers[world, servo, 4]
+    given = (driven - numbers[world, servo, 3] * speed) / (1.0 + numbers[world, servo, 2] * duty * duty)
+    if enabled >= 0:
+        given *= wp.where(ctrl[world, enabled] == 0.0, 0.0, 1.0)
+    bias[0] = given - alone
+    biasprm[world, row] = bias
 
 
 @wp.kernel

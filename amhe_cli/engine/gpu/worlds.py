@@ -150,9 +150,11 @@ class Worlds:
             self._reset = captured(self._device, lambda: mjw.reset_data(model, data, self._begins))
             if blueprint.gear is not None:
                 self._dry = wp.zeros_like(model.dof_frictionloss)
-                self._numbers = wp.zeros((count, *blueprint.gear.at.shape), dtype=float)
+                self._of_gears = wp.zeros((count, *blueprint.gear.at.shape), dtype=float)
                 self._before = wp.zeros((count, len(blueprint.gear.dofs)), dtype=float)
                 self._forces = captured(self._device, lambda: _forces(model, data))
+            if blueprint.servos is not None:
+                self._of_servos = wp.zeros((count, *blueprint.servos.at.shape), dtype=float)
             if blueprint.edits.needs_set_const:
                 self._derive = captured(self._device, lambda: mjw.set_const(model, data, restore=False))
         self._model, self._data = model, data
@@ -203,7 +205,7 @@ class Worlds:
                 (*progress[:2], self._begins, *first, data.qpos, data.qvel),
             ),
         ]
-        inputs = self._inputs(job, candidate, progress)
+        inputs = [*self._inputs(job, candidate, progress), *self._driven()]
         first_friction, friction = self._friction(inputs)
         state = (data.qpos, data.qvel, data.act, data.qacc_warmstart)
         watched = (*progress, self._array(lengths, np.int32), data.overflow, self._model.qpos0, *state)
@@ -242,6 +244,22 @@ class Worlds:
                 first += width
         return launches
 
+    def _driven(self) -> list[_Launch]:
+        """The launch that gives servos their torques before a step."""
+        servos, model, data = self._blueprint.servos, self._model, self._data
+        if servos is None:
+            return []
+        arguments = (
+            self._array(servos.places, np.int32),
+            self._of_servos,
+            model.actuator_ctrllimited,
+            model.actuator_ctrlrange,
+            self._array(servos.ratio, np.float32),
+            *(model.actuator_gainprm, model.actuator_forcerange, data.qpos, data.qvel, data.ctrl),
+            model.actuator_biasprm,
+        )
+        return [self._recorded(kernels.drive, self._of_servos.shape[:2], arguments)]
+
     def _friction(
         self, inputs: Sequence[_Launch]
     ) -> tuple[list[Callable[[], None]], list[Callable[[], None]]]:
@@ -262,7 +280,7 @@ class Worlds:
                     each,
                     self._begins,
                     dofs,
-                    self._numbers,
+                    self._of_gears,
                     self._dry,
                     *forces,
                     self._before,
@@ -297,13 +315,17 @@ class Worlds:
         """Write each world's candidate, unless the worlds hold them already."""
         if all(map(np.array_equal, self._written, (theta, candidate))):
             return
-        edits, model, gear = self._blueprint.edits, self._blueprint.model, self._blueprint.gear
-        fields = {*edits.fields, *(() if gear is None else OF_GEARS)}
+        edits, model = self._blueprint.edits, self._blueprint.model
+        gear, servos = self._blueprint.gear, self._blueprint.servos
+        fields = {*edits.fields, *(() if gear is None else OF_GEARS), "numeric_data"}
         arrays = {name: np.repeat(getattr(model, name)[None], len(theta), axis=0) for name in fields}
         edits.write(arrays, theta)
         rows = self._xp.asarray(candidate)
+        numbers = arrays.pop("numeric_data")
+        if servos is not None:
+            self._view(self._of_servos)[:] = self._up(numbers[:, servos.at])[rows]
         if gear is not None:
-            self._view(self._numbers)[:] = self._up(arrays.pop("numeric_data")[:, gear.at])[rows]
+            self._view(self._of_gears)[:] = self._up(numbers[:, gear.at])[rows]
             self._view(self._dry)[:] = self._up(arrays["dof_frictionloss"])[rows]
         for name, values in arrays.items():
             into = self._view(getattr(self._model, name))

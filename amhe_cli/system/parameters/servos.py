@@ -18,6 +18,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -65,9 +66,7 @@ class Servos:
     def of(cls, model: mujoco.MjModel, set_by_parameters: Collection[int] = ()) -> Servos | None:
         """Those of a model; None where there is none. Arguments as of `GearFriction.of`."""
         acting, every = SERVOS.acting(model, set_by_parameters), SERVOS.rows(model)
-        told = {
-            signal: {row for row in every if _carrier(model, row, signal) is not None} for signal in SIGNALS
-        }
+        told = {signal: {row for row in every if _carrier(model, row, signal) >= 0} for signal in SIGNALS}
         rows = sorted(set(acting).union(*told.values()))
         for row in rows:
             _check(model, row)
@@ -79,11 +78,32 @@ class Servos:
                 )
         return cls(model, np.array(rows), np.array([every[row] for row in rows])) if rows else None
 
+    def unlimit(self, model: mujoco.MjModel) -> None:
+        """Leave the limit of their torques to `law`, in a model of this layout."""
+        model.actuator_forcelimited[self.rows] = 0
+
     def unlimited(self) -> mujoco.MjModel:
         """A copy of the model in which they have the torque of `law`: it has the limit."""
         model = copy.copy(self.model)
-        model.actuator_forcelimited[self.rows] = 0
+        self.unlimit(model)
         return model
+
+    @cached_property
+    def places(self) -> IntArray:
+        """Their actuators, places of position and velocity, and controls of command and `SIGNALS`.
+
+        Shape (g, 6); -1 where the log has no such signal.
+        """
+        model, rows = self.model, self.rows
+        joints = model.actuator_trnid[rows, 0]
+        of_joints = rows, model.jnt_qposadr[joints], model.jnt_dofadr[joints], model.actuator_ctrladr[rows]
+        told = ([_carrier(model, row, signal) for row in rows] for signal in SIGNALS)
+        return np.column_stack([*of_joints, *told])
+
+    @property
+    def ratio(self) -> FloatArray:
+        """Joint -> servo, shape (g,)."""
+        return self.model.actuator_gear[self.model.actuator_outadr[self.rows], 0]
 
     def law(self, numbers: Callable[[str], FloatArray]) -> Callable[..., FloatArray]:
         """Of n simulations, their `BIAS` from positions (n, nq), velocities, controls and activations.
@@ -92,9 +112,8 @@ class Servos:
             numbers: Name of a field of the model -> its numbers, shape (n or 1, ...).
         """
         model, rows = self.model, self.rows
-        joints, controls = model.actuator_trnid[rows, 0], model.actuator_ctrladr[rows]
-        position, dofs = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
-        ratio, state = model.actuator_gear[model.actuator_outadr[rows], 0], model.actuator_actadr[rows]
+        _, position, dofs, controls, *told = self.places.T
+        ratio, state = self.ratio, model.actuator_actadr[rows]
         least, most = np.where(
             model.actuator_ctrllimited[controls, None] != 0,
             numbers("actuator_ctrlrange")[:, controls],
@@ -103,10 +122,7 @@ class Servos:
         gain, limit = numbers("actuator_gainprm")[:, rows, 0], numbers("actuator_forcerange")[:, rows, 1]
         _, by_position, by_speed = np.moveaxis(numbers(BIAS)[:, rows, :3], -1, 0)
         punch, band, sag, back_emf, supply = np.moveaxis(numbers("numeric_data")[:, self.at], -1, 0)
-        volts, enabled = (
-            [(i, at) for i, row in enumerate(rows) if (at := _carrier(model, row, signal)) is not None]
-            for signal in SIGNALS
-        )
+        volts, enabled = ([(i, at[i]) for i in np.flatnonzero(at >= 0)] for at in told)
 
         by_position, dead = by_position * ratio, gain * band
         filtered = np.flatnonzero(state >= 0)
@@ -168,7 +184,7 @@ def _check(model: mujoco.MjModel, row: int) -> None:
         raise ConfigError(f"actuator {name!r} needs a forcerange in the model: its torque at full duty")
 
 
-def _carrier(model: mujoco.MjModel, row: int, signal: str) -> int | None:
-    """Address of the control that a log's signal of a servo is; None where it has none."""
+def _carrier(model: mujoco.MjModel, row: int, signal: str) -> int:
+    """Address of the control that a log's signal of a servo is; -1 where it has none."""
     added = mujoco.mj_name2id(model, SERVOS.kind, carrier(signal, model.actuator(row).name))
-    return None if added < 0 else int(model.actuator_ctrladr[added])
+    return added if added < 0 else int(model.actuator_ctrladr[added])
