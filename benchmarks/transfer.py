@@ -1,10 +1,12 @@
 """Tasks on Go1s that the planner does not know, as they come and after `amhe identify --unknowns robot`.
 
-    python benchmarks/transfer.py --workers 16 --tasks t1,t2,t4 --seeds 2 --out transfer/
+    python benchmarks/transfer.py --workers 16 --tasks t1,t2,t4 --seeds 2 > found.txt
+    python benchmarks/transfer.py --done found.txt --tasks hw1,hw2 > more.txt
 
-For each plant free walking is recorded and the robot identified; then each task runs in modes true and
-adaptive, without and with that robot. Results are kept in OUT, so that the script can be stopped and go on;
-`--report` only prints the table.
+For each plant free walking is recorded and the robot identified; then each task runs, without and with that
+robot. `--strangers N` adds robots that are drawn at random, with several differences at once, some of them
+no unknowns (feet that sink, heavier legs, soles): `s0`, `s1`, ... Each result is a line of JSON on the
+standard output, so that a run that was cut can go on from what it printed; a table follows them.
 """
 
 from __future__ import annotations
@@ -14,8 +16,10 @@ import json
 import os
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import suppress
 from itertools import product
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -30,7 +34,9 @@ from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.estimation.design.probe import ProbeOptions
 from amhe_cli.logs import read_log
 from amhe_cli.robots.go1.judge import History, run_record
-from amhe_cli.robots.go1.plant import PLANTS
+from amhe_cli.robots.go1.kinematics import KINDS
+from amhe_cli.robots.go1.model import FOOT_FRICTION
+from amhe_cli.robots.go1.plant import PLANTS, PlantShape
 from amhe_cli.robots.go1.probing.motions import WALK
 from amhe_cli.robots.go1.probing.probe import PushProbe
 from amhe_cli.robots.go1.run import RunOptions, open_run
@@ -38,73 +44,148 @@ from amhe_cli.system.system import System
 
 #: One run: plant, task, mode, whether the robot was identified first, seed.
 Cell = tuple[str, str, str, bool, int]
+_MOST_STRANGERS = 100
+
+
+def stranger(number: int) -> PlantShape:
+    """A Go1 with many differences at once."""
+    rng = np.random.default_rng([39, number])
+
+    def about(middle: float, factor: float) -> float:
+        return float(middle * np.exp(rng.uniform(-1.0, 1.0) * np.log(factor)))
+
+    def kinds(middle: float, factor: float) -> tuple[float, float, float]:
+        return about(middle, factor), about(middle, factor), about(middle, factor)
+
+    x, y, z = rng.uniform(-0.02, 0.02, 3).tolist()
+    return PlantShape(
+        f"stranger {number}", kinds(0.25, 3.0), kinds(1.0, 2.5), about(0.008, 1.6), gain=about(1.0, 1.12),
+        load=float(rng.uniform(0.0, 1.5)), centre=(x, y, z), foot_friction=about(0.75, 1.4),
+        soft_feet=bool(rng.random() < 0.5), sole=float(rng.uniform(-0.002, 0.002)),
+        latency=float(rng.uniform(0.0, 0.03)), zeros=tuple(rng.normal(0.0, 0.012, 12).tolist()),
+        legs=about(1.0, 1.06),
+    )  # fmt: skip
+
+
+PLANTS |= {f"s{number}": stranger(number) for number in range(_MOST_STRANGERS)}
+
+
+def truth_of(shape: PlantShape) -> dict[str, float]:
+    """The true values of the robot's unknowns, where the plant has such a number at all."""
+    own = System.load("go1_push", {"unknowns": ["robot"]}).space
+    truth = dict(zip(own.names, own.nominal.tolist(), strict=True))
+    for name, values in (("friction", shape.friction), ("damping", shape.damping)):
+        truth |= zip((f"joint_{name}_{kind}" for kind in KINDS), values, strict=True) if values else ()
+    truth |= zip((name for name in own.names if name.startswith("zero_")), shape.zeros, strict=True)
+    truth |= {f"trunk_centre_{axis}": at for axis, at in zip("xyz", shape.centre, strict=True)}
+    truth |= {
+        "joint_armature": shape.armature or truth["joint_armature"], "motor_gain": shape.gain,
+        "command_latency": shape.latency, "foot_friction": shape.foot_friction or FOOT_FRICTION,
+        "trunk_load": shape.load, "foot_overlap": -shape.sole,
+    }  # fmt: skip
+    # feet that sink have neither number
+    return {
+        n: v for n, v in truth.items() if not shape.soft_feet or n not in ("foot_overlap", "foot_softness")
+    }
 
 
 def main() -> None:
     """Run what is missing, then print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--plants", default=",".join(PLANTS))
-    parser.add_argument("--tasks", default="t1,t2,t4")
+    parser.add_argument("--plants", default=",".join(p for p in PLANTS if p[1:].isalpha()))
+    parser.add_argument("--strangers", default="0", help="how many, or from A to below B: A:B")
+    parser.add_argument("--tasks", default="t1,t2,t4", help="'' for none")
     parser.add_argument("--modes", default="true,adaptive")
+    parser.add_argument("--robot", default="unknown,known")
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--workers", type=int, default=os.cpu_count())
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--report", action="store_true")
-    arguments = parser.parse_args()
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    plants, tasks, modes = (getattr(arguments, name).split(",") for name in ("plants", "tasks", "modes"))
-    if not arguments.report:
-        _run(arguments.out, plants, tasks, modes, arguments.seeds, arguments.workers)
-    _print(arguments.out, plants, modes)
+    parser.add_argument("--done", type=Path, nargs="*", default=[], help="what earlier runs printed")
+    given = parser.parse_args()
+    first, _, last = given.strangers.rpartition(":")
+    strangers = [f"s{number}" for number in range(int(first or 0), int(last))]
+    plants, tasks, modes, known = (
+        [word for word in text.split(",") if word]
+        for text in (given.plants, given.tasks, given.modes, given.robot)
+    )
+    done = list(read(given.done))
+    for record in done:
+        print(json.dumps(record))
+    cells = product(plants, tasks, modes, [word == "known" for word in known], range(given.seeds))
+    for record in made(done, [*plants, *strangers], list(cells), given.workers):
+        print(json.dumps(record), flush=True)
+        done.append(record)
+    show_robots([record for record in done if "robot" in record])
+    show_runs([record for record in done if "cell" in record])
 
 
-def _run(out: Path, plants: list[str], tasks: list[str], modes: list[str], seeds: int, workers: int) -> None:
+def read(files: list[Path]) -> Iterator[dict[str, Any]]:
+    """Results among the lines of some files."""
+    for line in (line for file in files for line in file.read_text(encoding="utf-8").splitlines()):
+        if line.startswith("{"):
+            with suppress(ValueError):  # the last line of a run that was cut
+                yield json.loads(line)
+
+
+def made(
+    done: list[dict[str, Any]], plants: list[str], cells: list[Cell], workers: int
+) -> Iterator[dict[str, Any]]:
+    """What is missing of robots and runs; runs with a robot begin when it is known."""
+    robots = {record["robot"]: record["belief"] for record in done if "robot" in record}
+    cells = [cell for cell in cells if list(cell) not in [record.get("cell") for record in done]]
     with ProcessPoolExecutor(workers) as pool:
-        waiting = {pool.submit(robot_of, out, plant): plant for plant in plants}
-        for known in (False, True):
-            if known:  # the robots are known by then
-                for future in as_completed(waiting):
-                    print(f"{waiting[future]}: {future.result()}", flush=True)
-            cells = product(plants, tasks, modes, [known], range(seeds))
-            running = [pool.submit(run_cell, out, cell) for cell in cells]
-            if known:
-                for number, future in enumerate(as_completed(running), start=1):
-                    print(f"{number}/{len(running)} {future.result()}", flush=True)
+        missing = [plant for plant in plants if plant not in robots]
+        runs = {cell[0] for cell in cells}
+        running = {pool.submit(robot_of, plant) for plant in missing if plant in runs}
+        running |= {pool.submit(run_cell, c, robots.get(c[0])) for c in cells if not c[3] or c[0] in robots}
+        running |= {pool.submit(robot_of, plant) for plant in missing if plant not in runs}
+        waiting = [cell for cell in cells if cell[3] and cell[0] not in robots]
+        while running:
+            ended = next(as_completed(running))
+            running.remove(ended)
+            record = ended.result()
+            yield record
+            if record.get("belief"):
+                mine = [cell for cell in waiting if cell[0] == record["robot"]]
+                running |= {pool.submit(run_cell, cell, record["belief"]) for cell in mine}
 
 
-def robot_of(out: Path, plant: str) -> str:
+def robot_of(plant: str) -> dict[str, Any]:
     """Let a plant walk for ten seconds, and identify it."""
     hush_mujoco()
-    path, log = out / f"{plant}-robot.yaml", out / f"{plant}-walk.mcap"
-    if path.exists():
-        return "known"
-    probe = PushProbe(ProbeOptions(task="walk", plant=plant))
-    log.unlink(missing_ok=True)
-    ending = probe.push(WALK.motion, 10.0, log)
-    if ending.error is not None:
-        return f"does not walk: {ending.error}"
-    system = System.load("go1_push", {"unknowns": ["robot"]})
-    try:
-        result = identify(system, [read_log(log, system)], seed=0, threads=1)
-    except AmheError as error:
-        return f"cannot be identified: {error}"
-    path.write_text(belief_text(result.belief), encoding="utf-8")
-    return "identified: " + ", ".join(
-        f"{p.name} {p.estimate:.3g} ± {p.sd:.2g}" for p in result.parameters.values()
-    )
+    with TemporaryDirectory() as folder:
+        log = Path(folder) / "walk.mcap"
+        ending = PushProbe(ProbeOptions(task="walk", plant=plant)).push(WALK.motion, 10.0, log)
+        if ending.error is not None:
+            return {"robot": plant, "error": str(ending.error)}
+        system = System.load("go1_push", {"unknowns": ["robot"]})
+        try:
+            result = identify(system, [read_log(log, system)], seed=0, threads=1)
+        except AmheError as error:
+            return {"robot": plant, "error": str(error)}
+    truth, space = truth_of(PLANTS[plant]), system.space
+    away = space.z_of(np.array([truth.get(name, np.nan) for name in space.names]))
+    found, sd = space.z_of(result.belief.estimate), np.sqrt(np.diag(result.belief.covariance))
+    return {
+        "robot": plant,
+        "belief": belief_text(result.belief),
+        "truth": truth,
+        "found": {p.name: [p.estimate, p.lower, p.upper] for p in result.parameters.values()},
+        # errors and sds in units of the prior's sd
+        "error": dict(zip(space.names, (found - away).tolist(), strict=True)),
+        "sd": dict(zip(space.names, (sd / space.prior_sd).tolist(), strict=True)),
+    }
 
 
-def run_cell(out: Path, cell: Cell) -> str:
-    """Run a task once, and keep the outcome."""
+def run_cell(cell: Cell, robot: str | None) -> dict[str, Any]:
+    """Run a task once, with a robot whose belief is given as text."""
     hush_mujoco()
     plant, task, mode, known, seed = cell
-    path = out / f"{plant}-{task}-{mode}-{'known' if known else 'unknown'}-{seed}.json"
-    robot = out / f"{plant}-robot.yaml"
-    if path.exists() or (known and not robot.exists()):
-        return f"{path.stem}: left out"
     settings: dict[str, Any] = {}
-    if known:
-        settings = {"parameters": held_by(Belief.load(robot))}
+    if known and robot:
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "belief.yaml"
+            path.write_text(robot, encoding="utf-8")
+            settings = {"parameters": held_by(Belief.load(path))}
     run = open_run(RunOptions(task, mode, seed=seed, plant=plant, settings=settings))
     history, ending = History(run.task), Ending()
     try:
@@ -112,9 +193,21 @@ def run_cell(out: Path, cell: Cell) -> str:
             history.add(cycle)
     except AmheError as error:
         ending = Ending(error=error)
-    record = run_record(run.judge.measures(), history, ending) | {"cell": cell, "inside": _inside(history)}
-    path.write_text(json.dumps(record), encoding="utf-8")
-    return f"{path.stem}: {record['time_s']:.1f} s, {record['goal_error_m']:.3f} m"
+    record = run_record(run.judge.measures(), history, ending)
+    kept = (
+        "success",
+        "on_time",
+        "fell",
+        "time_s",
+        "goal_error_m",
+        "speed_rmse",
+        "cost",
+        "belief",
+        "truth",
+        "error",
+    )
+    inside = _inside(history)
+    return {"cell": cell, **{key: record[key] for key in kept}, "miss": history.miss, "inside": inside}
 
 
 def _inside(history: History) -> dict[str, bool]:
@@ -128,21 +221,37 @@ def _inside(history: History) -> dict[str, bool]:
     return dict(zip(belief.names, map(bool, far), strict=True))
 
 
-def _print(out: Path, plants: list[str], modes: list[str]) -> None:
-    """One line for each plant, mode and state of knowledge, over tasks and seeds."""
-    records = [json.loads(path.read_text()) for path in sorted(out.glob("*-[0-9]*.json"))]
-    print("plant robot mode | runs goal on_time fell | rmse m/s, mu m error rms %, m and mu inside")
-    for plant, known, mode in product(plants, (False, True), modes):
-        some = [r for r in records if r["cell"][0] == plant and r["cell"][2:4] == [mode, known]]
+def show_robots(robots: list[dict[str, Any]]) -> None:
+    """How well the robots' own numbers were found."""
+    found = [record for record in robots if record.get("belief")]
+    for record in robots:
+        if record not in found:
+            print(record["robot"], record["error"])
+    print("number of the robot | robots, inside 90 %, rms error, rms sd (in prior sds), error / sd")
+    names = found[0]["sd"] if found else ()
+    for name in names:
+        some = [record for record in found if name in record["truth"]]
         if some:
-            print(plant, "known" if known else "unknown", mode, "|", *_line(some))
+            error, sd = (np.array([record[key][name] for record in some]) for key in ("error", "sd"))
+            held = sum(r["found"][name][1] <= r["truth"][name] <= r["found"][name][2] for r in some)
+            sizes = " ".join(f"{np.sqrt((v**2).mean()):.2f}" for v in (error, sd, error / sd))
+            print(f"{name} | {len(some)} {held} {sizes} (mean error {error.mean():+.2f})")
+
+
+def show_runs(runs: list[dict[str, Any]]) -> None:
+    """One line for each plant, mode and state of knowledge, over tasks and seeds."""
+    print("plant robot mode | runs goal on_time fell | rmse m/s, mu m error rms %, m and mu inside, miss")
+    groups = {(r["cell"][0], r["cell"][3], r["cell"][2]) for r in runs}
+    for group in (*sorted(groups), *sorted({("all", *rest) for _, *rest in groups})):
+        plant, known, mode = group
+        some = [r for r in runs if r["cell"][2:4] == [mode, known] and plant in ("all", r["cell"][0])]
+        print(plant, "known" if known else "unknown", mode, "|", *_line(some))
 
 
 def _line(some: list[dict[str, Any]]) -> Iterator[str]:
     yield f"{len(some)} {sum(r['success'] for r in some)} {sum(r['on_time'] for r in some)}"
     yield f"{sum(r['fell'] for r in some)} |"
-    speeds = [r["speed_rmse"] for r in some if r["speed_rmse"] is not None]
-    yield f"{np.mean(speeds):.4f}"
+    yield f"{np.mean([r['speed_rmse'] for r in some if r['speed_rmse'] is not None]):.4f}"
     products = [
         r[of]["box_mass"] * r[of]["floor_friction"] for r in some if r["truth"] for of in ("belief", "truth")
     ]
@@ -150,6 +259,7 @@ def _line(some: list[dict[str, Any]]) -> Iterator[str]:
     yield f"{100.0 * float(np.sqrt((errors**2).mean())):.1f} (mean {100.0 * float(errors.mean()):+.1f})"
     inside = [r["inside"][name] for r in some if r["inside"] for name in ("box_mass", "floor_friction")]
     yield f"{sum(inside)} of {len(inside)}" if inside else "-"
+    yield f"{np.nanmean([r['miss'] for r in some]):.1f}"
 
 
 if __name__ == "__main__":

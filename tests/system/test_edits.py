@@ -38,6 +38,7 @@ TARGETS = {  # target: (keys, theta, field, index, expected)
     "{pair: slide, set: sliding_friction}": ("", 0.3, "pair_friction", (0, slice(2)), 0.3),
     "{pair: [table, upper], set: rolling_friction}": ("", 0.01, "pair_friction", (0, slice(3, 5)), 0.01),
     "{pair: slide, set: contact_time_constant}": ("", 0.05, "pair_solref", (0, 0), 0.05),
+    "{pair: slide, set: contact_overlap}": ("bounds: [-1, 1]", 0.01, "pair_margin", 0, -0.01),
     "{pair: slide, set: contact_damping_ratio}": ("", 0.5, "pair_solref", (0, 1), 0.5),
     "{geom: floor, set: sliding_friction}": ("", 1.3, "geom_friction", (0, 0), 1.3),
     "{geom: box, set: torsional_friction}": ("", 0.02, "geom_friction", (1, 1), 0.02),

@@ -45,7 +45,8 @@ class PlantShape:
         soft_feet: Feet that sink 15 mm into the floor, as in MuJoCo Menagerie.
         sole: How much larger the radius of the feet is [m].
         latency: Time from a command to its effect [s].
-        zero: Offset of the encoders [rad], to one side in the right and to the other in the left legs.
+        zeros: Offsets of the encoders [rad], of all joints.
+        legs: Mass of the legs as a share of the model's.
         box: Size of the box as a share of the stated one, in x, y and z.
         box_centre: Where the box's centre of mass is beside its middle [m].
     """
@@ -62,16 +63,14 @@ class PlantShape:
     soft_feet: bool = False
     sole: float = 0.0
     latency: float = 0.0
-    zero: float = 0.0
+    zeros: tuple[float, ...] = (0.0,) * 12
+    legs: float = 1.0
     box: Kinds = (1.0, 1.0, 1.0)
     box_centre: Kinds = (0.0, 0.0, 0.0)
 
-    @property
-    def zeros(self) -> FloatArray:
-        """Offsets of the encoders [rad], shape (12,)."""
-        return np.repeat(self.zero * np.array([1.0, -1.0, 1.0, -1.0]), 3)
 
-
+#: To one side in the right and to the other in the left legs [rad].
+_ONE_DEGREE = tuple(float(side * np.deg2rad(1.0)) for side in (1, -1, 1, -1) for _ in range(3))
 #: Name -> plant. The first is our own.
 PLANTS = {
     "ours": PlantShape(),
@@ -83,7 +82,7 @@ PLANTS = {
     "strong": PlantShape("strong motors, heavy rotors", armature=0.016, gain=1.1, damping=(2.0, 3.0, 3.0)),
     "loaded": PlantShape("1.5 kg on the trunk, its centre 3 cm off", load=1.5, centre=(-0.02, 0.01, 0.02)),
     "slippery": PlantShape("soft and slippery feet", foot_friction=0.5, soft_feet=True, sole=0.002),
-    "late": PlantShape("commands 30 ms late, encoders 1 degree off", latency=0.03, zero=float(np.deg2rad(1))),
+    "late": PlantShape("commands 30 ms late, encoders 1 degree off", latency=0.03, zeros=_ONE_DEGREE),
     "crate": PlantShape(
         "a box of another size, with its load off the middle", box=(1.1, 0.95, 1.05),
         box_centre=(0.02, 0.03, -0.03),
@@ -124,6 +123,10 @@ def shaped_plant(box: Box, shape: PlantShape, robot: Path | None = None) -> mujo
         model.dof_armature[dofs] = shape.armature
     model.actuator_gainprm[servos] *= shape.gain
     model.actuator_biasprm[servos] *= shape.gain
+    legs = model.body_rootid == trunk.id
+    legs[trunk.id] = False
+    model.body_mass[legs] *= shape.legs
+    model.body_inertia[legs] *= shape.legs
     trunk.inertia[:] *= (trunk.mass[0] + shape.load) / trunk.mass[0]
     trunk.mass[0] += shape.load
     trunk.ipos[:] += shape.centre
@@ -223,7 +226,7 @@ class Plant:
             SimulationError: The simulation diverged.
         """
         robot, poses = [], []
-        self._waiting.append((self.time + self._shape.latency, targets - self._shape.zeros))
+        self._waiting.append((self.time + self._shape.latency, targets - np.array(self._shape.zeros)))
         for _ in range(round(duration / self.model.opt.timestep)):
             velocity = np.array(self._data.qvel[self._at.trunk_v][:3])
             self._step()
@@ -259,7 +262,7 @@ class Plant:
         force = rotations.rotate(rotations.conjugate(quaternion), acceleration + _UPHELD)
         return (
             self.time,
-            data.qpos[at.joints] + self._shape.zeros + self._draw(self._noise.joint, 12),
+            data.qpos[at.joints] + np.array(self._shape.zeros) + self._draw(self._noise.joint, 12),
             data.qvel[at.joints_v] + self._draw(self._noise.joint_rate, 12),
             data.qvel[at.trunk_v][3:] + self._draw(self._noise.gyro, 3),
             force + self._draw(self._noise.accelerometer, 3),

@@ -36,7 +36,7 @@ from amhe_cli.live.recorder import Recorder
 from amhe_cli.live.target import SimTarget, Target
 from amhe_cli.robots.go1.behaviours.gait import Gait
 from amhe_cli.robots.go1.judge import Judge
-from amhe_cli.robots.go1.kinematics import HOME, KINDS
+from amhe_cli.robots.go1.kinematics import HOME, KINDS, SERVOS
 from amhe_cli.robots.go1.model import KD, KP, SYSTEM, Box, home, layout, planner_model
 from amhe_cli.robots.go1.plant import Plant, find_plant, shaped_plant
 from amhe_cli.robots.go1.settings import PushSettings, settings_of
@@ -81,13 +81,14 @@ def gait_of(system: System) -> Gait:
     data.qpos[:] = home(model)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
-    gain = system.edits.held["motor_gain"].value
+    held = {name: one.value for name, one in system.edits.held.items()}
+    gain, zeros = held["motor_gain"], tuple(held[f"zero_{servo}"] for servo in SERVOS)
     trunk, damping = model.body("trunk").id, model.dof_damping[at.joints_v[:3]] + gain * KD
     ahead, left = (data.subtree_com[trunk] - data.xpos[trunk])[:2].tolist()
     hip, thigh, calf = np.asarray(damping).tolist()
     return Gait(
         kp=gain * KP, damping=(hip, thigh, calf), weight=float(model.body_subtreemass[trunk]) * GRAVITY,
-        centre=(ahead, left),
+        centre=(ahead, left), zeros=zeros,
     )  # fmt: skip
 
 

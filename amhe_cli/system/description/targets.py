@@ -178,6 +178,11 @@ def _of_pair(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]
     return [Cells(f"pair_{field}", row, columns)]
 
 
+def _overlap(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+    """How far two surfaces overlap before they push: MuJoCo's margin, below zero."""
+    return [Cells("pair_margin", row, factor=-1.0)]
+
+
 def _of_joint(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
     """A number of every degree of freedom of a joint, or its spring's stiffness."""
     if entry.set == "stiffness":
@@ -313,6 +318,7 @@ SETTERS: Mapping[str, Setter] = {
     "rolling_friction": Setter("m", _CONTACT),
     "contact_time_constant": Setter("s", _CONTACT, positive=True),
     "contact_damping_ratio": Setter("-", _CONTACT, positive=True),
+    "contact_overlap": Setter("m", {"pair": _overlap}, lower=-inf),
     "damping": Setter("N m s/rad", _JOINT),
     "damping_quadratic": Setter("N m s^2/rad^2", _JOINT),
     "damping_cubic": Setter("N m s^3/rad^3", _JOINT),

@@ -10,7 +10,8 @@ import numpy as np
 from amhe_cli.system.parameters.edits import Cells
 
 #: Fields that act at contacts only.
-_CONTACT = ("geom_friction", "geom_solref", "pair_friction", "pair_solref")
+_OF_PAIRS = ("pair_friction", "pair_solref", "pair_margin")
+_CONTACT = ("geom_friction", "geom_solref", *_OF_PAIRS)
 #: Fields of the inertia of a body.
 _INERTIAL = ("body_mass", "body_inertia", "body_ipos", "body_iquat")
 
@@ -23,7 +24,7 @@ def needed_contacts(model: mujoco.MjModel, cells: Iterable[Cells]) -> list[tuple
     """
     pairs: dict[tuple[int, int], None] = {}
     for c in cells:
-        if c.field in ("pair_friction", "pair_solref"):
+        if c.field in _OF_PAIRS:
             pairs[int(model.pair_geom1[c.row]), int(model.pair_geom2[c.row])] = None
         elif c.field in _CONTACT:
             pairs |= dict.fromkeys((c.row, other) for other in partners(model, c.row))

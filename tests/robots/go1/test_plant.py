@@ -15,7 +15,7 @@ from amhe_cli.core.errors import ConfigError, SimulationError
 from amhe_cli.core.log import Samples
 from amhe_cli.estimation.design.probe import ProbeOptions
 from amhe_cli.live.target import SimTarget
-from amhe_cli.robots.go1.behaviours.gait import Gait
+from amhe_cli.robots.go1.behaviours.gait import Gait, walk
 from amhe_cli.robots.go1.judge import History
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.model import Box, Change, home, layout, plant_model
@@ -239,7 +239,7 @@ def test_our_own_plant_is_the_model_as_it_is() -> None:
 def test_every_number_of_a_shape_is_in_the_plant() -> None:
     shape = PlantShape(
         "all", (0.1, 0.2, 0.3), (0.4, 0.5, 0.6), 0.007, gain=0.9, load=1.5, centre=(0.01, 0.02, 0.03),
-        foot_friction=0.55, sole=0.002, box=(1.1, 1.0, 0.9), box_centre=(0.02, 0.0, 0.01),
+        foot_friction=0.55, sole=0.002, legs=1.1, box=(1.1, 1.0, 0.9), box_centre=(0.02, 0.0, 0.01),
     )  # fmt: skip
     model, plain = shaped_plant(Box(), shape), plant_model()
     dofs, servos = layout(model).joints_v, layout(model).servos
@@ -247,7 +247,12 @@ def test_every_number_of_a_shape_is_in_the_plant() -> None:
     np.testing.assert_allclose(model.dof_damping[dofs], [0.4, 0.5, 0.6] * 4)
     np.testing.assert_allclose(model.dof_armature[dofs], 0.007)
     np.testing.assert_allclose(model.actuator_biasprm[servos, 1], -54.0)
+    trunk = model.body("trunk").id
+    legs = plain.body_subtreemass[trunk] - plain.body_mass[trunk]
     assert model.body("trunk").mass[0] == pytest.approx(plain.body("trunk").mass[0] + 1.5)
+    np.testing.assert_allclose(
+        model.body_subtreemass[trunk] - plain.body_subtreemass[trunk], 1.5 + 0.1 * legs
+    )
     np.testing.assert_allclose(model.body("trunk").ipos - plain.body("trunk").ipos, [0.01, 0.02, 0.03])
     assert model.pair("robot/FL_foot_floor").friction[0] == 0.55
     assert model.geom("robot/FL_foot").size[0] == pytest.approx(0.025)
@@ -257,7 +262,8 @@ def test_every_number_of_a_shape_is_in_the_plant() -> None:
 
 
 def test_a_late_plant_acts_later_and_its_encoders_err() -> None:
-    shape = PlantShape(latency=0.03, zero=0.02)
+    zeros = np.repeat([0.02, -0.02, 0.02, -0.02], 3)
+    shape = PlantShape(latency=0.03, zeros=tuple(zeros))
     late, prompt = a_plant(shape), a_plant(PLANTS["ours"])
     for _ in range(2):
         seen = late.advance(HOME + 0.2, 0.02)
@@ -265,7 +271,7 @@ def test_a_late_plant_acts_later_and_its_encoders_err() -> None:
     moved, far = (np.abs(one.state.joints - HOME).max() for one in (late, prompt))
     assert 0.0 < moved < 0.5 * far
     errors = seen["joints.position"][1][-1] - late.state.joints
-    np.testing.assert_allclose(errors, np.repeat([0.02, -0.02, 0.02, -0.02], 3), atol=1e-12)
+    np.testing.assert_allclose(errors, zeros, atol=1e-12)
 
 
 def test_gears_rub_under_load() -> None:
@@ -292,13 +298,18 @@ def test_nobody_knows_the_robot_unless_told() -> None:
 
 
 def test_what_is_known_of_the_robot_is_in_gait_planner_and_estimator() -> None:
-    settings = known(motor_gain=0.9, trunk_load=1.5, joint_friction_calf=0.8, command_latency=0.03)
+    settings = known(
+        motor_gain=0.9, trunk_load=1.5, joint_friction_calf=0.8, command_latency=0.03, zero_FL_calf=0.02
+    )
     system = system_of(RunOptions("t1", settings=settings), find_task("t1"))
     gait, plain = gait_of(system), Gait()
     assert gait.kp == pytest.approx(54.0)
     assert gait.weight == pytest.approx(plain.weight + 1.5 * 9.81, abs=0.01)
     assert gait.damping[2] > plain.damping[2], "dry friction is led by, too"
     assert latency_of(system) == 0.03
+    away = walk(gait, 0.3, np.zeros(3)).targets - walk(replace(gait, zeros=(0.0,)), 0.3, np.zeros(3)).targets
+    np.testing.assert_allclose(away, 0.02 * (np.arange(12) == 5), atol=1e-12)
+    assert system.model.qpos0[layout(system.model).joints][5] == pytest.approx(0.02)
     dofs = layout(system.model).joints_v
     assert system.model.dof_frictionloss[dofs][2] == pytest.approx(0.8), "the estimator's model"
     assert not without_dry_friction(system).model.dof_frictionloss[dofs].any(), "the planner's"

@@ -57,6 +57,7 @@ class Gait:
         loading: Share of the period in which a foot takes over, or hands on, its load.
         weight: Weight of the robot [N].
         centre: Its centre of mass when it stands, ahead and left in the trunk's frame [m].
+        zeros: What the encoders read where a joint is at zero [rad], twelve numbers or one for all.
     """
 
     period: float = 0.5
@@ -69,6 +70,7 @@ class Gait:
     loading: float = 0.1
     weight: float = WEIGHT
     centre: tuple[float, float] = CENTRE_OF_MASS
+    zeros: tuple[float, ...] = (0.0,)
 
     def __post_init__(self) -> None:
         if self.period <= 0.0 or not 0.5 <= self.duty <= 1.0 or self.kp <= 0.0:
@@ -83,8 +85,8 @@ class LegTargets:
     """Targets of a gait; the leading axes are those of time and command.
 
     Args:
-        targets: Joint targets, force lead included [rad], shape (..., 12).
-        joints: Joint angles that put the feet where they should be [rad], shape (..., 12).
+        targets: Joint targets as the encoders count, force lead included [rad], shape (..., 12).
+        joints: True joint angles that put the feet where they should be [rad], shape (..., 12).
         feet: Centres of the feet in the trunk's frame [m], shape (..., 4, 3).
         forces: Forces of the ground on the feet [N], shape (..., 4, 3).
         contact: Feet that should stand, shape (..., 4).
@@ -155,7 +157,7 @@ def leg_targets(
     """Joints and joint targets for feet that move so, while the ground acts so on them; all (..., 4, 3)."""
     joints = joint_angles(feet)
     torques = holding_torques(joints, forces) + np.tile(gait.damping, 4) * joint_rates(joints, velocity)
-    return LegTargets(joints + torques / gait.kp, joints, feet, forces, contact)
+    return LegTargets(joints + gait.zeros + torques / gait.kp, joints, feet, forces, contact)
 
 
 def _steps(gait: Gait, phase: FloatArray, twist: FloatArray) -> tuple[FloatArray, FloatArray]:
