@@ -31,7 +31,7 @@ from amhe_cli.logs import inspect_log
 from tests.logs.log_makers import ROS1, ROS2, write_bag, write_mcap
 from tests.logs.test_every_format import FORMATS, SYSTEM, TABLE, messages
 from tests.logs.test_hostile_logs import STAMP, write_records
-from tests.logs.test_lerobot import dataset
+from tests.logs.test_tables import dataset
 
 
 def _arrays(path: Path) -> Path:

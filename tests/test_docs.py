@@ -1,16 +1,28 @@
-"""README and docs: short enough, and what they link to or name exists."""
+"""The documentation: links, commands, messages it quotes and logs it names."""
 
 from __future__ import annotations
 
+import ast
 import os
 import re
+import shlex
+import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
+import mujoco
+import numpy as np
 import pytest
+import yaml
 
+from amhe_cli.cli.advice import entries, entry_of
+from amhe_cli.cli.command import FORMER
+from amhe_cli.cli.inputs import Inputs
+from amhe_cli.cli.main import amhe, run
+from amhe_cli.core.bundled import bundled_root
 from amhe_cli.core.limits import Limits
 from amhe_cli.estimation.core.result import VERDICTS
 from tests.test_architecture import ALLOWED
@@ -87,3 +99,189 @@ def test_the_site_holds_every_page_and_its_links_lead_somewhere(tmp_path: Path) 
     assert pages <= {page.stem for page in tmp_path.glob("*.html")}
     listed = re.findall(r": (\w+)\.md$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), re.MULTILINE)
     assert sorted(listed) == sorted(pages), "each page stands in the site's contents"
+
+
+#: Parts of the site that are the user's path; Commands is written from the commands themselves.
+PATH = ("amhe", "Tutorial", "How to", "Understand", "Troubleshooting", "Glossary", "Reference")
+#: Words that the user's path may have.
+WORDS = 22_000
+#: What a page has no robot, network or browser for here, by the words of the command; tested elsewhere.
+ELSEWHERE = ("--source ros2", "--source zenoh", "--follow", "udp://", "menagerie:", "amhe view found/  ")
+
+
+def user_pages() -> list[Path]:
+    """The pages of the user's path, by the site's contents."""
+    nav = yaml.safe_load((ROOT / "mkdocs.yml").read_text().partition("\nnav:")[2])
+    pages: list[str] = []
+    for entry in nav:
+        ((title, content),) = entry.items()
+        if title in PATH:
+            pages += (
+                [content] if isinstance(content, str) else [name for one in content for name in one.values()]
+            )
+    return [ROOT / "README.md" if name == "index.md" else ROOT / "docs" / name for name in pages]
+
+
+def commands(text: str, fence: str | None = None) -> Iterator[str]:
+    """Command lines of `amhe` in blocks: those of a fence, or all."""
+    blocks = re.findall(r"^```(\w*)\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    if fence is None:
+        blocks += [("", line) for line in re.findall(r"^    (amhe .*)$", text, re.MULTILINE)]
+    for kind, block in blocks:
+        if fence in (None, kind):
+            for line in block.replace("\\\n", " ").splitlines():
+                line = line.removeprefix("$ ").split("  #")[0].strip()
+                if re.match(r"amhe [\w-]+(?!.*: error)( |$)", line):
+                    yield line
+
+
+def test_the_users_path_is_short_enough() -> None:
+    texts = {page.name: page.read_text(encoding="utf-8") for page in user_pages()}
+    counts = {name: len(re.sub(r"<!--.*?-->", "", text).split()) for name, text in texts.items()}
+    assert sum(counts.values()) - counts["cli.md"] <= WORDS, counts
+
+
+@pytest.mark.parametrize("page", [*user_pages(), *sorted((ROOT / "docs").glob("*.md"))], ids=lambda p: p.name)
+def test_commands_and_options_that_a_page_shows_exist(page: Path) -> None:
+    for line in commands(page.read_text(encoding="utf-8")):
+        if page.name == "cli.md" or "..." in line.split()[1]:
+            continue
+        _, name, *words = shlex.split(line)
+        known = {option for param in amhe.commands[name].params for option in param.opts} | {"-h", "--help"}
+        used = {word.partition("=")[0] for word in words if re.match(r"--?[a-z]", word)}
+        assert used <= known | FORMER.keys(), line
+
+
+#: The user's robot: a link on a servo.
+ROBOT = """<mujoco model="my_robot"><option timestep="0.005"/><worldbody><body name="fore">
+  <joint name="elbow" axis="0 1 0" range="-3 3" damping="0.1" frictionloss="0.02" armature="0.002"/>
+  <geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.02" mass="0.3"/></body></worldbody>
+  <actuator><position name="elbow" joint="elbow" kp="6" kv="0.4" forcerange="-2 2"/></actuator></mujoco>"""
+
+
+def swing(phase: float) -> str:
+    """Six seconds of the robot, as a table."""
+    model = mujoco.MjModel.from_xml_string(ROBOT)
+    data, rng, rows = mujoco.MjData(model), np.random.default_rng(0), ["time,elbow_pos,elbow_cmd"]
+    for step in range(1200):
+        if step % 2 == 0:
+            data.ctrl[0] = 0.8 * np.sin(2.0 * data.time + phase) + 0.4 * np.sin(5.0 * data.time)
+            rows.append(f"{data.time:.4f},{data.qpos[0] + rng.normal(0, 1e-3):.5f},{data.ctrl[0]:.5f}")
+        mujoco.mj_step(model, data)
+    return "\n".join(rows) + "\n"
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What pages take for given: logs and a model of the user's, a system folder, a result."""
+    folder = tmp_path_factory.mktemp("user")
+    (folder / "my_robot.xml").write_text(ROBOT.replace('damping="0.1"', 'damping="0.05"'))
+    for name, phase in {"my_log": 0.0, "run1": 0.0, "run2": 1.0}.items():
+        (folder / f"{name}.csv").write_text(swing(phase))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        quick(patch)
+        assert run(["init", "my_robot.xml", "my_log.csv", "--actuators", "-o", "my_system", "-q"]) == 0
+        assert run(["identify", "my_log.csv", "--system", "my_system", "-o", "found", "-q"]) == 0
+    return folder
+
+
+def quick(patch: pytest.MonkeyPatch) -> None:
+    """Few clips, and little time: what is tested is that each command works on what those before it made."""
+    patch.setenv("AMHE_CLIPS__COUNT", "4")
+    patch.setenv("AMHE_IDENTIFY__ITERATIONS", "2")
+    patch.setenv("AMHE_PROBE__CANDIDATES", "4")
+
+
+#: Command -> options that let it take little time.
+LITTLE = {"amhe identify": ["--max-time", "2"], "amhe audit example:": ["--to", "3"]}
+RUN = [page for page in user_pages() if list(commands(page.read_text(encoding="utf-8"), "sh"))]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", RUN, ids=lambda page: page.stem)
+def test_the_commands_of_a_page_run_in_their_order(
+    page: Path, prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    text = page.read_text(encoding="utf-8")
+    for given in prepared.iterdir():
+        if not re.search(rf"-o {re.escape(given.name)}/?(\s|$)", text):
+            (shutil.copytree if given.is_dir() else shutil.copy)(given, tmp_path / given.name)
+    monkeypatch.chdir(tmp_path)
+    quick(monkeypatch)
+    for line in commands(text, "sh"):
+        if any(words in f"{line}  " for words in ELSEWHERE):
+            continue
+        little = next((options for start, options in LITTLE.items() if line.startswith(start)), [])
+        assert run([*shlex.split(line)[1:], *little]) == 0, f"{line}\n{capsys.readouterr().err}"
+
+
+def test_every_kind_of_reason_has_an_entry() -> None:
+    code = (ROOT / "amhe_cli" / "estimation" / "uncertainty" / "verdicts.py").read_text()
+    kinds = set(re.findall(r'Reason\(\s*"(\w+)"', code)) | {"assumed", "parts", "minimum"}
+    texts = re.search(r"_TEXTS = \{(.*?)\n\}", code, re.DOTALL)
+    assert texts is not None
+    kinds |= set(re.findall(r'^    "(\w+)":', texts[1], re.MULTILINE))
+    assert kinds >= {"bound", "misfit", "idle", "open", "together", "search"}
+    assert kinds - entries().keys() == set()
+
+
+def literal(node: ast.expr) -> str | None:
+    """A text with 'x' for what is filled in; None: it is not written here."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        return re.sub(r"%[-+.\w]*?[a-z]", "x", node.value)
+    if isinstance(node, ast.JoinedStr):
+        return "".join(str(one.value) if isinstance(one, ast.Constant) else "x" for one in node.values)
+    return None
+
+
+def warnings() -> Iterator[tuple[str, str]]:
+    """Place and text of each warning of the library."""
+    for path in sorted((ROOT / "amhe_cli").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "warning":
+                text = literal(node.args[0])
+                if text is not None and text.replace("x", "").strip(" :'"):
+                    yield (
+                        f"{path.name}:{node.lineno}",
+                        text.replace("topic x", "topic 'x'").replace("signal x", "signal 'x'"),
+                    )
+
+
+def test_every_warning_has_an_entry() -> None:
+    found = dict(warnings())
+    assert len(found) > 40
+    assert {place: text for place, text in found.items() if entry_of(text) is None} == {}
+
+
+def test_a_message_names_its_entry_and_help_prints_it(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    log = tmp_path / "run.csv"
+    log.write_text("time,q\n0,1\n0.1,2\n")
+    assert run(["identify", str(log), "-o", str(tmp_path / "out")]) == 2
+    assert capsys.readouterr().err.endswith("(amhe help no-system)\n")
+    assert run(["help", "no-system"]) == 0
+    assert "amhe init" in capsys.readouterr().out
+    assert not entries().keys() & amhe.commands.keys(), "a command's name would hide the entry"
+
+
+LOGS = {"pendulum": "pendulum", "pusher": "pusher", "t1": "go1_push", "t4": "go1_push"}
+
+
+@pytest.mark.parametrize(("name", "system"), LOGS.items())
+def test_a_bundled_log_is_read_by_its_system_without_options(name: str, system: str) -> None:
+    path = bundled_root() / "examples" / "logs" / f"{name}.mcap"
+    assert path.stat().st_size < 2**20
+    inputs = Inputs()
+    opened = inputs.open([path])
+    assert opened.name == system
+    (log,) = inputs.read(opened, [path])
+    assert log.duration > 5.0
+    assert all(series.valid.mean() > 0.99 for series in log.series.values())
+    assert ("truth" in log.metadata) == (name != "t4")  # the floor of t4 changes on the way
+
+
+def test_no_bundled_log_is_forgotten_here() -> None:
+    folder: Path = bundled_root() / "examples" / "logs"
+    assert {path.stem for path in folder.glob("*.mcap")} == set(LOGS)

@@ -1,4 +1,4 @@
-"""What a log will tell is said before it is fitted, and holds against the fit."""
+"""The checks of a log and of a model."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 import amhe_cli as amhe
+from amhe_cli.check.findings import Finding, worst_first
+from amhe_cli.check.model import check_model
 from amhe_cli.check.motion import log_findings, motions
 from amhe_cli.cli.main import run
 from amhe_cli.estimation.design.expected import expected
@@ -108,3 +110,111 @@ def test_mistakes_are_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     ):
         assert run(["check", MODEL, *arguments]) == 2
         assert text in capsys.readouterr().err
+
+
+MODELS = [*sorted((ROOT / "models").glob("*/scene.xml")), ROOT / "examples" / "logs" / "arm.xml"]
+SO101 = ROOT / "examples" / "systems" / "so101" / "scene.xml"
+JOINT = 'axis="0 1 0" range="-90 90" damping=".1" armature=".01" frictionloss=".1"'
+ARM = """<body name="{side}_arm" pos="0 {y} 1"><joint name="{side}_arm" {joint}/>
+    <inertial pos="0 0 -.15" mass="0.5" diaginertia=".004 .004 .0003"/>
+    <geom type="box" size=".03 .03 .15" pos="0 0 -.15"/>
+    <body name="{side}_hand" pos="0 0 -.3"><joint name="{side}_hand" {joint}/>
+      <inertial pos="0 0 -.1" mass="0.2" diaginertia=".0007 .0007 .0001"/>
+      <geom type="box" size=".02 .02 .1" pos="0 0 -.1"/></body></body>"""
+SERVOS = """<position name="{side}_arm" joint="{side}_arm" kp="50" forcerange="-9 9"/>
+    <position name="{side}_hand" joint="{side}_hand" kp="20" forcerange="-4 4"/>"""
+SIDES = {"left": ".2", "right": "-.2"}
+BODIES = "".join(ARM.format(side=side, y=y, joint=JOINT) for side, y in SIDES.items())
+ROBOT = '<mujoco><option timestep="0.002"/><worldbody>' + BODIES + "</worldbody><actuator>"
+ROBOT += "".join(SERVOS.format(side=side) for side in SIDES) + "</actuator></mujoco>"
+SECOND = '<position name="b" joint="right_hand" kp="9"/></actuator>'
+RIGHT_HAND = '<inertial pos="0 0 -.1" mass="0.2" diaginertia=".0007 .0007 .0001"/>'
+#: What is spoilt in the right hand, or for all -> the kind of finding, and whose it is.
+SPOILT = {
+    "mass in grams": ((RIGHT_HAND, RIGHT_HAND.replace("0.2", "200")), "dense", "right_hand"),
+    "mass next to nothing": ((RIGHT_HAND, RIGHT_HAND.replace("0.2", "0.0008")), "thin", "right_hand"),
+    "twice the mass": ((RIGHT_HAND, RIGHT_HAND.replace("0.2", "0.4")), "twins", "right_hand"),
+    "centre in millimetres": ((RIGHT_HAND, RIGHT_HAND.replace("-.1", "-100")), "centre", "right_hand"),
+    "inertia of another unit": (
+        (RIGHT_HAND, RIGHT_HAND.replace(".0007 .0007", ".7 .7")), "inertia", "right_hand",
+    ),
+    "inertia of a point": (
+        (RIGHT_HAND, RIGHT_HAND.replace(".0007 .0007 .0001", "7e-9 7e-9 1e-9")), "inertia", "right_hand",
+    ),
+    "no armature": ((' armature=".01"', ""), "drive", "right_hand"),
+    "gain in counts": (('kp="20"', 'kp="20000"'), "stiff", "right_hand"),
+    "limit of the motor": (('forcerange="-9 9"', 'forcerange="-.1 .1"'), "weak", "right_arm"),
+    "targets in degrees": (('kp="20" ', 'kp="20" ctrlrange="-90 90" '), "range", "right_hand"),
+    "gear of nothing": (('kp="20"', 'gear="0" kp="20"'), "idle", "right_hand"),
+    "driven twice": (("</actuator>", SECOND), "twice", "right_hand"),
+    "overlap": (("0 -.2 1", "0 .21 1"), "overlap", "right_arm"),
+}  # fmt: skip
+
+
+def test_a_sound_robot_has_no_findings() -> None:
+    assert check_model(mujoco.MjModel.from_xml_string(ROBOT)) == ()
+
+
+#: What is put into the right hand, and is no doubt about a robot.
+HARMLESS = {
+    "a light part of a heavy link": '<body><inertial pos="9 0 0" mass="0.001" diaginertia="1 1 1"/></body>',
+    "a shape that is not where the joint is": '<body name="x" pos="0 0.5 0"><joint name="x" damping="1" '
+    'armature="1" frictionloss="1"/><inertial pos="0 0 0" mass="0.6" diaginertia=".004 .004 .004"/>'
+    '<geom type="box" size=".03 .03 .03" pos="0 .2 0"/></body>',
+    "a joint that turns for ever": '<body pos="0 0 -.3"><joint name="x" range="-1e6 1e6" damping="1" '
+    'armature="1" frictionloss="1"/><geom size=".02" mass="0.1"/></body>',
+}
+
+
+@pytest.mark.parametrize("what", HARMLESS)
+def test_what_robots_have_is_no_finding(what: str) -> None:
+    at = ROBOT.rindex(RIGHT_HAND)
+    assert check_model(mujoco.MjModel.from_xml_string(ROBOT[:at] + HARMLESS[what] + ROBOT[at:])) == ()
+
+
+def test_a_model_without_joints_has_no_findings() -> None:
+    assert check_model(mujoco.MjModel.from_xml_string("<mujoco/>")) == ()
+
+
+def test_of_many_findings_of_a_kind_the_worst_are_said_and_the_others_named() -> None:
+    found = worst_first([Finding("thin", f"b{i}", f"it is {i}", 1.0 + i, "") for i in range(9)])
+    assert [one.where for one in found] == ["b8", "b7", "b6", "b5, b4, b3, b2, b1, b0"]
+    assert found[-1].what == "likewise; the worst: it is 5"
+
+
+@pytest.mark.parametrize("what", SPOILT)
+def test_what_is_spoilt_is_found(what: str) -> None:
+    (old, new), kind, where = SPOILT[what]
+    assert old in ROBOT
+    at = ROBOT.rindex(old) if old == RIGHT_HAND else 0  # of the two hands the right one
+    model = mujoco.MjModel.from_xml_string(ROBOT[:at] + ROBOT[at:].replace(old, new))
+    found = check_model(model)
+    assert any(one.kind == kind and where in one.where for one in found), found
+    assert all(one.size >= 1.0 and one.cure for one in found)
+    assert [one.size for one in found] == sorted((one.size for one in found), reverse=True)
+
+
+@pytest.mark.parametrize("path", MODELS, ids=lambda path: path.parent.name)
+def test_bundled_models_are_sound(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["check", str(path), "--strict"]) == 0
+    assert "nothing that a robot could not have" in capsys.readouterr().out
+
+
+def test_the_makers_gains_of_a_real_arm_are_doubted(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["check", str(SO101), "--strict", "--json"]) == 3
+    record = json.loads(capsys.readouterr().out)
+    assert [one["kind"] for one in record["findings"]] == ["stiff"]
+    assert "0.19 degrees of error already take all of its force" in record["findings"][0]["what"]
+
+
+def test_a_urdf_is_checked_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    link = '<link name="{}"><inertial><mass value="{}"/><inertia ixx="1e-3" iyy="1e-3" izz="1e-3" '
+    link += 'ixy="0" ixz="0" iyz="0"/></inertial><collision><geometry><box size=".1 .1 .1"/></geometry>'
+    link += "</collision></link>"
+    joint = '<joint name="j" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>'
+    joint += '<origin xyz="0 0 .3"/><limit lower="-1" upper="1" effort="5" velocity="2"/></joint>'
+    text = f'<robot name="r">{link.format("base", 1)}{link.format("arm", 42.9)}{joint}</robot>'
+    (tmp_path / "arm.urdf").write_text(text)
+    assert run(["check", str(tmp_path / "arm.urdf")]) == 0
+    out = capsys.readouterr().out
+    assert "arm: 42.9 kg in a box of 100 x 100 x 100 mm: denser than lead" in out

@@ -1,7 +1,10 @@
-"""`amhe identify` from the outside: files, streams, exit codes, interruption."""
+"""amhe identify and calibrate, and results beside each other."""
+
+from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,12 +14,18 @@ from pathlib import Path
 from unittest.mock import Mock
 
 import mujoco
+import numpy as np
 import pytest
 import yaml
 
+from amhe_cli.cli.inputs import Inputs
 from amhe_cli.cli.main import run
+from amhe_cli.cli.settings import Overrides
+from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.rotations import exp, multiply
 from tests.cli.conftest import names
-from tests.conftest import write_pendulum_log
+from tests.conftest import MODELS, write_pendulum_log
+from tests.robots.go1.emulator.emulating import Emulated, emulating
 
 ROOT = Path(__file__).parents[2]
 
@@ -251,3 +260,117 @@ def test_results_do_not_depend_on_the_threads_of_linear_algebra(tmp_path: Path) 
         )
         found.append(json.loads((out / "result.json").read_text())["parameters"])
     assert found[0] == found[1]
+
+
+SAID = """\
+system = "mine"
+[noise]
+joints.position = 0.007
+[priors]
+load_mass = 0.7
+damping = {nominal = 0.03, prior_sd = 0.2}
+[settings]
+clips.count = 7
+"""
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """A table that names no system, beside a system folder and what belongs to both."""
+    shutil.copytree(MODELS / "pendulum", tmp_path / "logs" / "mine")
+    (tmp_path / "logs" / "amhe.toml").write_text(SAID)
+    path = tmp_path / "logs" / "run1.csv"
+    path.write_text("time,q\n0,0.1\n0.01,0.1\n")
+    return path
+
+
+def test_what_is_said_beside_the_logs_holds(log: Path) -> None:
+    system = Inputs().open([log])
+    assert system.folder is not None and system.folder.resolve() == log.with_name("mine").resolve()
+    assert system.space.named(system.space.nominal)["load_mass"] == pytest.approx(0.7)
+    assert {p.name: p.prior_sd for p in system.space.parameters}["damping"] == pytest.approx(0.2)
+    assert system.settings.clips.count == 7
+    (position,) = (one for one in system.channels if one.key == "joints.position")
+    assert position.noise == pytest.approx(0.007)
+
+
+def test_options_win_and_another_system_is_not_concerned(log: Path) -> None:
+    system = Inputs(overrides=Overrides({}, {"clips": {"count": 3}})).open([log])
+    assert system.settings.clips.count == 3
+    other = Inputs(system="pendulum").open([log])
+    assert other.settings.clips.count != 7
+    assert Inputs(system=log.with_name("mine")).open([log]).settings.clips.count == 7
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("sytem = 1", "no key 'sytem' (did you mean 'system'?)"),
+        ("system = ", "amhe.toml: "),
+        ('system = "nowhere"', "no system 'nowhere'"),
+        ('system = "mine"\n[priors]\nmass = 1', "mass"),
+    ],
+)
+def test_a_mistake_in_it_is_one_line(log: Path, text: str, said: str, capsys) -> None:
+    log.with_name("amhe.toml").write_text(text)
+    assert run(["identify", str(log), "-o", "out"]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_logs_of_two_folders_are_refused(log: Path, tmp_path: Path) -> None:
+    other = shutil.copy(log, tmp_path / "run2.csv")
+    with pytest.raises(ConfigError, match="beside some of the logs only"):
+        Inputs().open([log, Path(other)])
+
+
+TRUNK = (0.03, -0.012, -0.045, 0.02, -0.035, 0.3)
+BOX = (-0.05, 0.02, -0.15, 0.0, 0.01, -1.2)
+
+
+def at(emulated: Emulated) -> list[str]:
+    here = ["--host", "127.0.0.1", "--port", str(emulated.port)]
+    eyes = ["--pose-host", "127.0.0.1", "--pose-port", str(emulated.mocap_port), "--set", "go1.slow=2"]
+    return [*here, *eyes, "--set", "go1.connect_time=5"]
+
+
+def off(name: str, offset: tuple[float, ...]) -> list[str]:
+    return ["--set", f"go1.{name}_offset=[{','.join(map(str, offset))}]"]
+
+
+@pytest.mark.slow
+def test_offsets_are_found_again_and_make_the_robot_fit_to_run() -> None:
+    pytest.importorskip("natnet")
+    with emulating("--set", "go1.slow=2", *off("trunk", TRUNK), *off("box", BOX)) as emulated:
+        command = [sys.executable, "-m", "amhe_cli", "calibrate", "-o", "out", *at(emulated)]
+        pressed, nobody = (
+            subprocess.run(
+                [*command, *more], input=keys, text=True, capture_output=True, timeout=120,
+                env={"PYTHONPATH": str(ROOT)},
+            )
+            for keys, more in (("\n\n", ()), ("", ("--force",)))
+        )  # fmt: skip
+        check = ["run", "--task", "t1", "--target", "go1", "--dry-run", *at(emulated)]
+        assert run([*check, "--config", "out/offsets.yaml"]) == 0
+        assert run(check) == 1, "without the offsets it is refused"
+    assert pressed.returncode == 0, pressed.stderr
+    assert pressed.stderr.count("then press Enter") == 2
+    assert "its head along the x axis" in pressed.stderr
+    assert (nobody.returncode, "give --yes" in nobody.stderr) == (2, True)
+    assert pressed.stdout.startswith(Path("out/offsets.yaml").read_text())
+    found = json.loads(Path("out/result.json").read_text())
+    for name, true in (("trunk_offset", TRUNK), ("box_offset", BOX)):
+        np.testing.assert_allclose(found[name][:3], true[:3], atol=0.001, err_msg=name)
+        wrong = multiply(exp(-np.array(found[name][3:])), exp(np.array(true[3:])))
+        assert 2.0 * np.arccos(min(1.0, abs(wrong[0]))) < np.deg2rad(0.3), name
+    assert sorted(path.name for path in Path("out").iterdir()) == ["offsets.yaml", "result.json"]
+
+
+@pytest.mark.slow
+def test_what_cannot_be_is_refused(capfd) -> None:
+    pytest.importorskip("natnet")
+    with emulating("--set", "go1.slow=2", "--fault", "yup=1") as emulated:
+        assert run(["calibrate", "--yes", *at(emulated)]) == 1
+    err = capfd.readouterr().err
+    assert "up axis z" in err
+    assert sum("error:" in line for line in err.splitlines()) == 1
+    assert list(Path().glob("*/*/*")) == []

@@ -1,7 +1,10 @@
-"""How every ending becomes an exit code, and what is loaded before a command runs."""
+"""The command line as a whole: help, versions, wording, completion, options and progress."""
+
+from __future__ import annotations
 
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,9 +16,11 @@ import pytest
 from amhe_cli import __version__
 from amhe_cli.cli import main as entry
 from amhe_cli.cli import options
-from amhe_cli.cli.command import Given, command, flag
+from amhe_cli.cli.command import Given, command, flag, options_of
+from amhe_cli.cli.main import GROUPS, amhe, run
+from amhe_cli.cli.options import MODES, TASKS
 from amhe_cli.cli.progress import progress
-from amhe_cli.cli.session import Session
+from amhe_cli.cli.session import Session, in_options
 from amhe_cli.core.errors import AmheError, ConfigError, EstimationError, LogError
 from docs.make_cli_docs import FILE, document
 
@@ -280,3 +285,202 @@ def test_closed_streams_end_no_command(closed: str, pendulum_log: Path, tmp_path
     assert "Traceback" not in done.stderr
     text = (tmp_path / "out.csv").read_text()
     assert "time [s]" in text and "wrote" not in text
+
+
+SHOWN = [
+    ("identify", "`held_out`: a.mcap is fitted too", "--held-out: a.mcap is fitted too"),
+    ("identify", "`end`: 1 is not after `start` 2", "--to: 1 is not after --from 2"),
+    ("identify", "`logs`: there is none", "LOG: there is none"),
+    ("identify", "correct it with `logs.align=true`", "correct it with --set logs.align=true"),
+    ("identify", "give it more with `identify.iterations`", "give it more with --set identify.iterations"),
+    ("run", "or use `mode=baseline`", "or use --mode baseline"),
+    ("run", "both need the same `go1.slow`", "both need the same --set go1.slow"),
+    ("pool", "give `force=True` to write into it", "give --force to write into it"),
+    ("pool", "give `out`", "give -o"),
+    ("init", "`meshes=False` to do without", "--no-meshes to do without"),
+    ("export", "`to`: one of urdf, mjcf", "--to: one of urdf, mjcf"),
+    ("inspect", "call it `time`, or `time [ms]`; see `amhe inspect`", None),
+    ("inspect", "give more with `logs.align`", None),
+    ("identify", "`motors.q` is a field", None),
+    ("pool", "`held_out` is of another command", None),
+]
+
+
+@pytest.mark.parametrize(("command", "text", "shown"), SHOWN)
+def test_arguments_become_options_of_the_command(command: str, text: str, shown: str | None) -> None:
+    assert in_options(text, options_of(amhe.commands[command])) == (text if shown is None else shown)
+
+
+#: Options of a command beyond those that many commands share.
+MOST = 16
+
+
+def options_in(command: click.Command) -> set[str]:
+    """Names of the arguments that a command's options give; four flags of one choice count once."""
+    return {str(param.name) for param in command.params if isinstance(param, click.Option)}
+
+
+SHARED = options_in(
+    command("t", options.where, options.narrowing, options.work, options.tuning, options.output)(
+        lambda session, given: None
+    )
+)
+
+
+@pytest.mark.parametrize("name", amhe.commands)
+def test_a_command_has_at_most_16_options_of_its_own(name: str) -> None:
+    assert len(options_in(amhe.commands[name]) - SHARED) <= MOST, "make the rarest a setting"
+
+
+@pytest.mark.parametrize("former", ["--for", "--duration"])
+def test_a_length_is_in_seconds_by_any_of_its_names(former: str, capsys) -> None:
+    assert run(["run", "--task", "t1", former, "x"]) == run(["run", "--task", "t1", "--seconds=x"]) == 2
+    assert len(set(capsys.readouterr().err.splitlines())) == 1
+
+
+def test_help_has_panels_and_one_line_of_what_is_common(capsys) -> None:
+    assert run(["help", "identify"]) == 0
+    shown = capsys.readouterr().out
+    assert run(["identify", "--help"]) == 0
+    assert capsys.readouterr().out == shown
+    panels = [line.rstrip(":") for line in shown.splitlines() if line.endswith(":") and line[0] != " "]
+    assert panels == ["Logs and system", "What is known", "Options", "Computing", "Settings", "Output"]
+    assert sum("--strict" in line for line in shown.splitlines()) == 1
+    assert run(["help", "identfy"]) == 2
+    assert "did you mean 'identify'" in capsys.readouterr().err
+
+
+def test_what_comes_with_amhe_is_listed(capsys) -> None:
+    from amhe_cli.core.bundled import bundled_logs
+    from amhe_cli.system.description.folders import bundled_systems
+
+    assert run(["examples"]) == run(["systems"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    for name in bundled_logs():
+        (line,) = (line for line in lines if line.startswith(f"example:{name} "))
+        assert len(line.split()) > 3, "it says what the log is"
+    assert {line.split()[0] for line in lines} >= set(bundled_systems())
+
+
+def test_help_lists_each_command_once_in_a_group(capsys) -> None:
+    assert run(["--help"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    named = [line.split()[0] for line in lines[lines.index("Start:") :] if line.startswith("  ")]
+    assert sorted(named) == sorted(amhe.commands)
+    assert [line.rstrip(":") for line in lines if line.rstrip(":") in GROUPS] == list(GROUPS)
+
+
+ROOT = Path(__file__).parents[2]
+
+
+def offered(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *words: str) -> set[str]:
+    """What bash is given for the last of these words."""
+    monkeypatch.setenv("COMP_WORDS", " ".join(("amhe", *words)))
+    monkeypatch.setenv("COMP_CWORD", str(len(words)))
+    monkeypatch.setenv("_AMHE_COMPLETE", "bash_complete")
+    with pytest.raises(SystemExit):
+        run([])
+    lines = filter(None, capfd.readouterr().out.splitlines())
+    return {
+        value if kind == "plain" else f"<{kind}>"
+        for kind, _, value in (line.partition(",") for line in lines)
+    }
+
+
+#: Names of the bundled logs.
+EXAMPLES = {path.stem for path in (ROOT / "examples" / "logs").iterdir() if path.suffix in (".mcap", ".csv")}
+
+
+@pytest.mark.parametrize(
+    ("words", "answers"),
+    [
+        (["ide"], {"identify"}),
+        (["identify", "--max"], {"--max-time"}),
+        (["identify", "x"], {"<file>"}),
+        (["identify", "exa"], {f"example:{name}" for name in EXAMPLES}),
+        (["identify", "example:pen"], {"example:pendulum"}),
+        (["identify", "--system", "pen"], {"<dir>", "pendulum"}),
+        (["identify", "--system", "arms/r"], {"<dir>", "arms/right"}),
+        (["identify", "example:t1", "--system", "cu"], {"<dir>", "cube_toss"}),
+        (["run", "--task", ""], set(TASKS)),
+        (["run", "--mode", "a"], {"adaptive"}),
+        (["run", "--target", "g"], {"go1"}),
+        (["eval", "--tasks", "t1,h"], {"t1,hw1", "t1,hw2"}),
+        (["eval", "--modes", ""], set(MODES)),
+        (["mhe-replay", "--prior-weight", "box"], {"box_mass=", "box_inertia_scale="}),
+        (["identify", "x.mcap", "--system", "pendulum", "--fix", "load"], {"load_mass="}),
+        (["identify", "--system", "pendulum", "--only", "load_mass,a"], {"load_mass,armature"}),
+        (["convert", "x.mcap", "--each", ""], {"csv", "npz", "folder"}),
+        (["mhe-replay", "--system", "arms/right", "--prior-weight", ""], {"grip="}),
+        (["mhe-replay", "example:pendulum", "--prior-weight", "load"], {"load_mass="}),
+        (["mhe-replay", "--system", "nowhere", "--prior-weight", ""], set()),
+    ],
+)
+def test_what_is_offered(
+    words: list[str], answers: set[str], tmp_path: Path, capfd, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "arms" / "right").mkdir(parents=True)
+    (tmp_path / "arms" / "right" / "system.yaml").write_text("parameters: {grip: {targets: []}}\n")
+    (tmp_path / "arms" / "rough").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert offered(capfd, monkeypatch, *words) == answers
+
+
+def test_every_command_offers_its_options(capfd, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, offering in amhe.commands.items():
+        own = {option for param in offering.params for option in param.opts if option.startswith("--")}
+        assert own <= offered(capfd, monkeypatch, name, "--"), name
+
+
+def test_the_answer_is_quick_because_nothing_heavy_is_imported() -> None:
+    words = ("amhe", "mhe-replay", "--system", "pendulum", "--prior-weight", "load")
+    environment = {"COMP_WORDS": " ".join(words), "COMP_CWORD": "5", "_AMHE_COMPLETE": "bash_complete"}
+    done = subprocess.run(
+        [sys.executable, "-X", "importtime", "-m", "amhe_cli"],
+        env=os.environ | environment | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stdout == "plain,load_mass=\n"
+    imported = {line.rpartition("|")[2].strip().split(".")[0] for line in done.stderr.splitlines()}
+    assert not imported & {"numpy", "mujoco", "pydantic", "matplotlib", "rich"}
+
+
+@pytest.mark.parametrize("shell", ["zsh", "fish"])
+def test_other_shells_are_answered_too(shell: str, capfd, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COMP_WORDS", "amhe inspect")
+    monkeypatch.setenv("COMP_CWORD", "2" if shell == "zsh" else "example:pen")
+    monkeypatch.setenv("_AMHE_COMPLETE", f"{shell}_complete")
+    if shell == "zsh":
+        monkeypatch.setenv("COMP_WORDS", "amhe inspect example:pen")
+    with pytest.raises(SystemExit):
+        run([])
+    assert "example:pendulum" in capfd.readouterr().out
+
+
+def test_the_scripts_are_those_of_the_mechanism_and_documented(capsys) -> None:
+    page = (ROOT / "docs" / "cli.md").read_text(encoding="utf-8")
+    for shell in ("bash", "zsh", "fish"):
+        assert f"amhe completion {shell}" in page
+        assert run(["completion", shell]) == 0
+        assert f"_AMHE_COMPLETE={shell}_complete" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+def test_bash_itself_completes(tmp_path: Path) -> None:
+    (tmp_path / "amhe").write_text(f'#!/bin/sh\nexec {sys.executable} -m amhe_cli "$@"\n')
+    (tmp_path / "amhe").chmod(0o755)
+    script = """
+        source <(amhe completion bash)
+        COMP_WORDS=(amhe identify --max); COMP_CWORD=2
+        _amhe_completion amhe
+        echo "${COMPREPLY[*]}"
+        complete -p amhe
+    """
+    environment = os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        ["bash", "--norc", "-c", script], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.stdout.splitlines()[0] == "--max-time", done.stderr
+    assert "-F _amhe_completion amhe" in done.stdout

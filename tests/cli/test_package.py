@@ -1,12 +1,20 @@
-"""What `pip install` brings: a wheel that needs no clone beside it."""
+"""What an installed package brings, and what a command loads."""
 
+from __future__ import annotations
+
+import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from amhe_cli.cli import progress
+from amhe_cli.cli.main import run
+from amhe_cli.estimation.core.result import Iteration
+from tests.conftest import MODELS
 from tests.view.browser import PIXELS, browser, needs_chromium
 
 ROOT = Path(__file__).parents[2]
@@ -74,3 +82,123 @@ def test_the_installed_command_works_anywhere(installed: Path, tmp_path: Path) -
     )
     assert done.returncode == 0, done.stderr
     assert "usable: " in done.stdout
+
+
+LOGS = Path(__file__).parents[2] / "examples" / "logs"
+LOG = LOGS / "pendulum.mcap"
+FOREIGN = ("amhe_cli.control", "amhe_cli.live", "amhe_cli.robots")
+SCRIPT = """
+import sys
+from amhe_cli.cli.main import main
+try:
+    main()
+except SystemExit as end:
+    assert end.code == 0, end.code
+print(*(name for name in sys.modules if name.startswith("amhe_cli.")), file=sys.stderr)
+"""
+
+
+def loaded(*arguments: str) -> set[str]:
+    """Modules of the package that a command has loaded by its end."""
+    command = [sys.executable, "-c", SCRIPT, *arguments, "--threads", "1", "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    return set(done.stderr.splitlines()[-1].split())
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("mhe-replay", str(LOG), "--to", "1"),
+        ("identify", str(LOG), "--to", "3", "--max-time", "1"),
+    ],
+)
+def test_a_pendulum_needs_no_robot_and_no_controller(command: tuple[str, ...], tmp_path: Path) -> None:
+    modules = loaded(*command, "--out", str(tmp_path / "out"))
+    assert "amhe_cli.report.page" in modules
+    assert not {name for name in modules if name.startswith(FOREIGN)}
+
+
+@pytest.mark.medium
+def test_settings_of_a_robot_are_checked_without_the_robot(tmp_path: Path) -> None:
+    command = ("mhe-replay", str(LOGS / "t1.mcap"), "--to", "1.2", "--set", "control.samples=9")
+    modules = loaded(*command, "--out", str(tmp_path / "out"))
+    rooms = {"amhe_cli.control", "amhe_cli.robots", "amhe_cli.robots.go1"}
+    settings = {"amhe_cli.control.settings", "amhe_cli.robots.go1.settings"}
+    assert {name for name in modules if name.startswith(FOREIGN)} == rooms | settings
+
+
+def test_settings_of_a_robot_need_no_simulator() -> None:
+    code = "import sys, amhe_cli.robots.go1.settings; assert 'mujoco' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_simulated_run_loads_neither_link_nor_poses(tmp_path: Path) -> None:
+    modules = loaded("run", "--task", "t1", "--duration", "0.04", "--out", str(tmp_path / "out"))
+    assert "amhe_cli.robots.go1.plant" in modules
+    wire = tuple(f"amhe_cli.robots.go1.{room}" for room in ("link", "poses", "emulator", "probing"))
+    assert not {name for name in modules if name.startswith(wire)}
+
+
+def test_an_example_is_found_by_its_name_from_any_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["inspect", "example:pendulum"]) == 0
+    assert "usable" in capsys.readouterr().out
+    assert run(["inspect", "example:pendulun"]) == 2
+    text = capsys.readouterr().err
+    assert "no example 'pendulun' (did you mean 'pendulum'?); there is: arm, arm_torque, pendulum, p" in text
+
+
+def numbers(text: str) -> list[tuple[float, float]]:
+    """Each number of a text, and one unit of its last digit."""
+    found = re.findall(r"\d+(?:\.(\d+))?", text)
+    values = [float(number) for number in re.findall(r"\d+(?:\.\d+)?", text)]
+    return [(value, 10.0 ** -len(decimals)) for value, decimals in zip(values, found, strict=True)]
+
+
+@pytest.mark.medium
+def test_the_example_prints_what_the_readme_shows(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    readme = (MODELS.parent / "README.md").read_text(encoding="utf-8")
+    _, _, shown = readme.partition("$ amhe identify example:pendulum\n")
+    shown, _, _ = shown.partition("\nreport: ")
+    assert run(["identify", "example:pendulum", "-o", str(tmp_path / "out")]) == 0
+    printed, _, _ = capsys.readouterr().out.partition("\nreport: ")
+    words = [re.sub(r"\d+(\.\d+)?", "#", " ".join(text.split())) for text in (printed, shown)]
+    assert words[0] == words[1]
+    for (value, _), (expected, unit) in zip(numbers(printed), numbers(shown), strict=True):
+        assert value == pytest.approx(
+            expected, abs=2.01 * unit
+        )  # on another processor the last digits differ
+
+
+@pytest.mark.slow
+def test_half_of_the_demos_log_identifies_the_box(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert run(["identify", "example:t1", "--to", "7", "-o", str(out), "-q"]) == 0
+    found = json.loads((out / "result.json").read_text())
+    known = {p["name"]: p for p in found["parameters"]}
+    assert found["truth"] == {"box_mass": 4.0, "box_inertia_scale": 1.0, "floor_friction": 0.6}
+    assert all(known[name]["lower"] < value < known[name]["upper"] for name, value in found["truth"].items())
+    assert known["box_mass"]["shrinkage"] > 0.75 and known["floor_friction"]["shrinkage"] > 0.75
+    assert found["held_out"]["cost"] < 0.3 * found["held_out"]["initial_cost"]
+
+
+def test_a_search_is_told_in_plain_words() -> None:
+    fitting = Iteration(5, "linearised", 1.0449, 0.1, 32, 0, (0.5,), "explore")
+    assert progress.of_search((fitting, 16)) == ("fitting, 5 of about 16: cost 1.045", 5, 16)
+    checking = Iteration(14, "search for a second minimum", 1.0, 0.1, 0, 0, (), "conclusion")
+    assert progress.of_search((checking, 15))[0] == "checking, 14 of 15: is there a second solution?"
+
+
+@pytest.mark.parametrize(
+    ("done", "seconds", "text"),
+    [(4, 10.0, "x; about 30 s left"), (1, 20.0, "x; about 5 min left"), (0, 5.0, "x"), (16, 5.0, "x")],
+)
+def test_the_time_left_goes_on_at_the_pace_so_far(
+    monkeypatch: pytest.MonkeyPatch, done: int, seconds: float, text: str
+) -> None:
+    clock = iter([100.0, 100.0 + seconds])
+    monkeypatch.setattr(progress.time, "monotonic", lambda: next(clock))
+    assert progress._with_time_left(lambda item: ("x", item, 16))(done)[0] == text

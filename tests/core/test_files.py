@@ -1,12 +1,18 @@
+"""Files that are written whole, and YAML that cannot cost more than it is worth."""
+
 import errno
 import os
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
+from amhe_cli import System
 from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.core.files import check_regular, filling, plain, whole, write_whole
+from amhe_cli.core.yaml_file import YamlFile
 
 
 def test_a_file_that_fails_half_way_leaves_the_old_one_and_no_scratch(tmp_path: Path) -> None:
@@ -71,3 +77,26 @@ def test_a_full_disk_is_said_of_what_is_written(tmp_path: Path) -> None:
 def test_a_name_that_no_file_can_have_is_one_line() -> None:
     with pytest.raises(ConfigError, match=r"^9{40} \.\.\.: File name too long; give another name$"):
         check_regular(Path("9" * 400))
+
+
+@pytest.mark.skipif(not yaml.__with_libyaml__, reason="this PyYAML has no parser in C")
+def test_the_largest_file_is_read_in_seconds(tmp_path: Path) -> None:
+    (tmp_path / "a.yaml").write_text('a: "' + "\n" * (4 * 2**20 - 10) + '"\n')
+    begun = time.process_time()
+    YamlFile(tmp_path / "a.yaml")
+    assert time.process_time() - begun < 10.0
+
+
+@pytest.mark.medium
+def test_a_file_of_mistakes_is_refused_in_seconds(tmp_path: Path) -> None:
+    """Of 64,000 mistakes the first hundred are listed, and none of the others is put into words."""
+    path = tmp_path / "system.yaml"
+    path.write_text("".join(f"k{i}: {i}\n" for i in range(64_000)))
+    begun = time.process_time()
+    with pytest.raises(ConfigError) as refusal:
+        System.load(tmp_path)
+    assert time.process_time() - begun < 10.0
+    *lines, last = str(refusal.value).splitlines()
+    assert len(lines) == 100
+    assert last == f"{path}: there are more mistakes"
+    assert lines[0].startswith(f"{path}:1:1: no key 'k0'; there is: boxes,")

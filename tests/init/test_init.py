@@ -1,7 +1,8 @@
-"""A first system folder is guessed from names, loads at once, and says what was guessed."""
+"""A system made from a model: names and efforts."""
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -11,14 +12,17 @@ import numpy as np
 import pytest
 import yaml
 
-from amhe_cli.core.bundled import bundled_root
+from amhe_cli.api.identify import identify
+from amhe_cli.cli.main import run
+from amhe_cli.core.bundled import bundled_logs, bundled_models, bundled_root
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.settings import LogSettings
-from amhe_cli.init.folder import init_system
-from amhe_cli.init.names import is_command, matched, names_the_same
+from amhe_cli.core.signals import Signal
+from amhe_cli.init.folder import _topics, init_system
+from amhe_cli.init.names import is_command, joint_paths, matched, names_the_same
 from amhe_cli.init.parameters import guess_parameters
 from amhe_cli.init.signals import Guess, Topic, fields_example, foreign, notes_on
-from amhe_cli.logs import LogWriter, read_signals
+from amhe_cli.logs import LogWriter, read_log, read_signals
 from amhe_cli.system.description.schema import SignalEntry
 from amhe_cli.system.system import System
 from tests.system.test_urdf import mesh_file
@@ -528,3 +532,174 @@ def test_the_quantity_of_a_command_is_written_where_there_is_a_choice(tmp_path: 
         system, text, _ = made(tmp_path / name, servo, [tmp_path / "log.mcap"])
         assert ("quantity: position" in text) == bool(more)
         assert next(s for s in system.signals if s.name == "command").quantities == ("position",)
+
+
+def test_torques_without_commands_are_matched(tmp_path: Path) -> None:
+    model, log = bundled_models()["arm_torque"], bundled_logs()["arm_torque"]
+    notes = init_system(model, [log], tmp_path / "arm").sentences
+    system = System.load(tmp_path / "arm", {"identify": {"profile_points": 0}, "clips": {"held_out": 0.0}})
+    assert system.match == "effort"
+    assert any(note.startswith("torque: torques were measured, and nothing says") for note in notes)
+    (effort,) = [c for c in system.channels if c.compared]
+    assert (effort.source, len(effort.columns), system.inputs) == ("effort", 7, ())
+    assert len(system.space) == 7 * 10 + 7 * 4
+    # with all else at the model's values, friction still stands out: its torque changes with the direction
+    found = identify(system, read_log([log], system), only=["joint3_*", "joint7_*", "link7_*"], threads=1)
+    assert found.parameters["joint3_friction_loss"].estimate == pytest.approx(0.5, rel=0.2)
+    assert found.parameters["joint7_torque_offset"].estimate == pytest.approx(-0.05, abs=0.02)
+
+
+def test_torques_that_do_not_change_are_no_measurement(tmp_path: Path) -> None:
+    model, log = bundled_models()["arm_torque"], bundled_logs()["arm_torque"]
+    lines = [line.split(",") for line in log.read_text().splitlines()]
+    for line in lines[1:]:
+        line[-1] = "0.5"
+    (tmp_path / "still.csv").write_text("\n".join(map(",".join, lines)) + "\n")
+    notes = init_system(model, [tmp_path / "still.csv"], tmp_path / "arm").sentences
+    assert System.load(tmp_path / "arm", warn=False).match == "motion"
+    assert any("they can drive the model" in note for note in notes)
+
+
+def renamed(text: str, **words: str) -> str:
+    """A table with other words, and numbers from 0, in the names of its columns."""
+    head, rows = text.split("\n", 1)
+    names = [name if name == "time" else f"{words[name[:-1]]}{int(name[-1]) - 1}" for name in head.split(",")]
+    return ",".join(names) + "\n" + rows
+
+
+def test_rival_columns_and_numbers_from_zero_are_told_apart(tmp_path: Path) -> None:
+    model, log = bundled_models()["arm_torque"], bundled_logs()["arm_torque"]
+    text = renamed(log.read_text(), q="q_", dq="dq_", tau="tau_J_")
+    lines = [line.split(",") for line in text.splitlines()]
+    wanted = [[f"tau_J_d_{i}" for i in range(7)], *(line[-7:] for line in lines[1:])]
+    currents = [[f"tau_cur_{i}" for i in range(7)], *(line[-7:] for line in lines[1:])]
+    rows = (",".join([*a, *b, *c]) for a, b, c in zip(lines, wanted, currents, strict=True))
+    (tmp_path / "log.csv").write_text("\n".join(rows) + "\n")
+    notes = init_system(model, [tmp_path / "log.csv"], tmp_path / "arm").sentences
+    signals = {s.name: s for s in System.load(tmp_path / "arm", warn=False).signals}
+    assert signals["joints"].columns["position"] == tuple(f"q_{i}" for i in range(7))
+    assert signals["torque"].columns["effort"] == tuple(f"tau_J_{i}" for i in range(7))
+    assert any("not used: tau_cur_0," in note and "in their place" in note for note in notes)
+    assert any(note.startswith("not used: tau_J_d_0,") for note in notes)
+    assert any(note.startswith("actuators servo1, ") and "are off" in note for note in notes)
+
+
+def test_joints_that_stand_still_are_left_out(tmp_path: Path) -> None:
+    model, log = bundled_models()["arm_torque"], bundled_logs()["arm_torque"]
+    lines = [line.split(",") for line in log.read_text().splitlines()]
+    for line in lines[1:]:
+        line[1:4] = ["0.1", "-0.2", "0.3"]
+    (tmp_path / "log.csv").write_text("\n".join(map(",".join, lines)) + "\n")
+    notes = init_system(model, [tmp_path / "log.csv"], tmp_path / "arm").sentences
+    system = System.load(tmp_path / "arm", warn=False)
+    (effort,) = [c for c in system.channels if c.compared]
+    assert effort.columns == (3, 4, 5, 6)
+    assert not [name for name in system.space.names if name.startswith(("joint1", "joint3", "link2"))]
+    assert any(note.startswith("joint1, joint2, joint3 stand still") for note in notes)
+    motion = system.matching("motion")  # the same torques drive the model, through motors with their zeros
+    assert [one.key for one in motion.inputs] == ["torque.effort"] and motion.match == "motion"
+    assert not motion.model.actuator("servo4").gainprm.any() and motion.model.actuator("servo1").gainprm[0]
+
+
+def test_torques_of_a_model_with_motors_are_matched_too_unless_they_are_commands(tmp_path: Path) -> None:
+    """Seven joints that integrate measured torques drift away; a table may still hold commands of motors."""
+    log, text = bundled_logs()["arm_torque"], bundled_models()["arm_torque"].read_text()
+    model = tmp_path / "arm.xml"
+    model.write_text(re.sub(r"<general name=(\S+) joint=(\S+)[^>]*/>", r"<motor name=\1 joint=\2/>", text))
+    notes = init_system(model, [log], tmp_path / "arm").sentences
+    system = System.load(tmp_path / "arm", warn=False)
+    assert system.match == "effort" and not system.inputs
+    assert any(note.startswith("actuators servo1, ") and "are off" in note for note in notes)
+    assert not any("not used" in note or "in place of its servos" in note for note in notes)
+    (tmp_path / "log.csv").write_text(renamed(log.read_text(), q="q_", dq="dq_", tau="tau_cmd_"))
+    init_system(model, [tmp_path / "log.csv"], tmp_path / "commanded")
+    system = System.load(tmp_path / "commanded", warn=False)
+    assert system.match == "motion" and [one.key for one in system.inputs] == ["command.effort"]
+
+
+#: As a model has them; the motors of the robot are FR, FL, RR, RL.
+LEG_NAMES = [f"{leg}_{part}_joint" for leg in ("FL", "FR", "RL", "RR") for part in ("hip", "thigh", "calf")]
+
+
+@pytest.fixture
+def go2(tmp_path: Path) -> tuple[Path, Path]:
+    """A model of twelve joints, and a log of unitree_go/LowState with its own definition."""
+    bodies = "".join(
+        f"<body><joint name='{name}' axis='1 0 0'/><geom size='.1' mass='1'/></body>" for name in LEG_NAMES
+    )
+    model = tmp_path / "go2.xml"
+    model.write_text(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    path, package = tmp_path / "go2.mcap", "unitree_go/msg/"
+    with LogWriter(path) as log:
+        log.define(
+            f"{package}MotorState", "uint8 mode\nfloat32 q\nfloat32 dq\nfloat32 tau_est\nuint32[2] reserve"
+        )
+        log.define(
+            f"{package}LowState",
+            "uint8[2] head\nunitree_go/MotorState[20] motor_state\nfloat32[4] foot_force",
+        )
+        for i in range(50):
+            motors = [{"mode": 1, "q": 0.01 * i + k, "dq": 0.5} for k in range(20)]
+            log.write("/lowstate", f"{package}LowState", 10**18 + i * 10**7, {"motor_state": motors})
+    return model, path
+
+
+def test_the_example_reads_the_log_in_the_order_of_the_motors(
+    go2: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model, path = go2
+    with pytest.raises(
+        ConfigError, match=r"fields: \{position: \['motor_state\[0\].q', 'motor_state\[1\].q'"
+    ):
+        init_system(model, [path], tmp_path / "out")
+    (topic,) = _topics([path], None)
+    entry = yaml.safe_load("\n".join(fields_example(mujoco.MjModel.from_xml_path(str(model)), topic)))[
+        "states"
+    ]
+    assert entry["joints"][:4] == ["FR_hip_joint", "FR_thigh_joint", "FR_calf_joint", "FL_hip_joint"]
+    fields = {key: tuple(paths) for key, paths in entry["fields"].items()}
+    log = read_signals(path, [Signal("s", "/lowstate", tuple(fields), fields=fields)], 0.01, LogSettings())
+    np.testing.assert_allclose(log["s.position"].values[7], 0.07 + np.arange(12), atol=1e-6)
+    assert run(["inspect", str(path)]) == 0
+    assert "fields by path of head, motor_state[0].mode, motor_state[0].q" in " ".join(
+        capsys.readouterr().out.split()
+    )
+
+
+@pytest.mark.parametrize(
+    ("paths", "found"),
+    [
+        ({"joints.pos": 7, "joints.vel": 7}, {"position": "joints.pos[{}]", "velocity": "joints.vel[{}]"}),
+        ({"a[0].angle": None, "a[1].angle": None}, {"position": "a[{}].angle"}),
+        ({"q": 2, "dq": 1}, {"position": "q[{}]"}),
+        ({"temperature": 12}, {}),
+    ],
+)
+def test_paths_by_their_names(paths: dict[str, int | None], found: dict[str, str]) -> None:
+    assert joint_paths(paths, 2) == found
+
+
+@pytest.mark.parametrize(
+    "columns",
+    ["px py pz qw qx qy qz", "cube_x cube_y cube_z cube_qx cube_qy cube_qz cube_qw"],
+    ids=["bare", "named"],
+)
+def test_columns_of_a_pose_are_those_of_the_free_body(columns: str, tmp_path: Path) -> None:
+    body = "<body name='cube'><freejoint/><geom size='.1' mass='1'/></body>"
+    (tmp_path / "cube.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    time, names = np.arange(0.0, 1.0, 0.01), columns.split()
+    values = {name: np.sin(time + i) for i, name in enumerate(names)}
+    turn = [name for name in names if "q" in name]
+    length = np.sqrt(sum(values[name] ** 2 for name in turn))
+    values |= {name: values[name] / length for name in turn}
+    rows = np.column_stack([time, *(values[name] for name in names)])
+    log = tmp_path / "log.csv"
+    np.savetxt(log, rows, delimiter=",", header="t," + ",".join(names), comments="")
+
+    init_system(tmp_path / "cube.xml", [log], tmp_path / "cube")
+
+    signal = yaml.safe_load((tmp_path / "cube" / "system.yaml").read_text())["signals"]["cube"]
+    assert signal["body"] == "cube"
+    found = [*signal["columns"]["position"], *signal["columns"]["orientation"]]
+    assert [name[-1] for name in found] == list("xyzwxyz")
+    assert set(found) == set(names)

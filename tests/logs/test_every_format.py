@@ -16,9 +16,18 @@ from mcap.writer import Writer
 import amhe_cli as amhe
 from amhe_cli.core.log import Log, sampled
 from amhe_cli.logs import read_log
-from tests.logs.log_makers import JS, ROS1, ROS2, Message, joint_state, write_bag, write_mcap, write_rosbag2
-from tests.logs.test_protobuf import CLASS, SET
-from tests.logs.ulog_maker import write_ulog
+from tests.logs.log_makers import (
+    JS,
+    ROS1,
+    ROS2,
+    Message,
+    joint_state,
+    write_bag,
+    write_mcap,
+    write_rosbag2,
+    write_ulog,
+)
+from tests.logs.test_messages import CLASS, SET
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "logs" / "pendulum.mcap"
 T0 = 1_700_000_000_000_000_000

@@ -27,7 +27,7 @@ from amhe_cli.core.limits import limit
 from amhe_cli.logs import Survey, survey
 from amhe_cli.logs.containers.folder import open_log
 from tests.logs.log_makers import ROS2, motion, write_rosbag2
-from tests.logs.test_lerobot import dataset
+from tests.logs.test_tables import dataset
 
 #: Memory that a hostile log may take beyond what the process has [bytes].
 MEMORY = 1500 * 2**20

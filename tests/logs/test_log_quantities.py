@@ -1,4 +1,4 @@
-"""Every message type becomes SI numbers in our conventions, from every format."""
+"""Quantities of a log: states, poses, commands, units and the truth that a simulator adds."""
 
 from __future__ import annotations
 
@@ -8,13 +8,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from mcap.writer import Writer
 
+import amhe_cli as amhe
+from amhe_cli.core.bundled import bundled_root
 from amhe_cli.core.errors import ConfigError, LogError
+from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
-from amhe_cli.logs import read_signals
+from amhe_cli.init.folder import init_system
+from amhe_cli.logs import LogWriter, read_signals, read_truth
 from tests.logs.log_makers import (
     ARRAY,
     DT,
@@ -383,3 +388,107 @@ def test_idl_definitions(tmp_path: Path) -> None:
     signal = Signal("r", "/r", ("value",), fields={"value": ("level", "parts[1]")})
     values = read(path, signal)["r.value"].values
     np.testing.assert_allclose(values, np.arange(10)[:, None] * [1.0, -1.0])
+
+
+ARM = """<mujoco><compiler angle="radian"/><option timestep="0.01"/><worldbody>
+  <body><joint name="pan" axis="0 0 1" armature="0.01" range="-3 3"/><geom size="0.1"/></body></worldbody>
+  <actuator><position name="pan" joint="pan" kp="5" kv="1"/></actuator></mujoco>"""
+TIMES = np.arange(0.0, 4.0, 0.01)
+SWING = 2.5 * np.sin(2.0 * TIMES)
+
+
+def recorded(folder: Path, angles: np.ndarray, commands: np.ndarray) -> Path:
+    (folder / "arm.xml").write_text(ARM)
+    rows = np.stack([TIMES, angles, commands], axis=1)
+    header = "time,position_pan,command_position_pan"
+    np.savetxt(folder / "log.csv", rows, delimiter=",", header=header, comments="", fmt="%.9f")
+    return folder / "log.csv"
+
+
+def test_init_declares_degrees_of_positions_and_commands(tmp_path: Path) -> None:
+    log = recorded(tmp_path, np.rad2deg(SWING), np.rad2deg(SWING))
+    notes = init_system(tmp_path / "arm.xml", [log], tmp_path / "system").sentences
+    system = amhe.System.load(tmp_path / "system")
+    read = amhe.read_log(log, system)
+    np.testing.assert_allclose(read["joints.position"].values[:, 0], SWING, atol=1e-6)
+    np.testing.assert_allclose(read["command.position"].values[:, 0], SWING, atol=1e-6)
+    np.testing.assert_allclose(read["joints.velocity"].values[:, 0], 5.0 * np.cos(2.0 * TIMES), atol=0.05)
+    assert any(
+        "looks like degrees (pan); unit: deg in system.yaml converts a file; it is" in note for note in notes
+    )
+
+
+def test_init_declares_an_encoder_that_wraps_and_it_is_unwrapped(tmp_path: Path) -> None:
+    turning = 2.0 * SWING
+    log = recorded(tmp_path, np.mod(turning + np.pi, 2.0 * np.pi) - np.pi, turning)
+    init_system(tmp_path / "arm.xml", [log], tmp_path / "system")
+    read = amhe.read_log(log, amhe.System.load(tmp_path / "system"))
+    np.testing.assert_allclose(read["joints.position"].values[:, 0], turning, atol=1e-6)
+    np.testing.assert_allclose(read["joints.velocity"].values[:, 0], 10.0 * np.cos(2.0 * TIMES), atol=0.1)
+
+
+def test_radians_stay_as_they_are(tmp_path: Path) -> None:
+    log = recorded(tmp_path, SWING, SWING)
+    init_system(tmp_path / "arm.xml", [log], tmp_path / "system")
+    text = (tmp_path / "system" / "system.yaml").read_text()
+    assert "unit: deg" not in text and "unit: {" not in text and "wraps" not in text
+
+
+@pytest.mark.parametrize(
+    ("keys", "error"),
+    [
+        ({"unit": "furlong"}, "no unit 'furlong'"),
+        ({"unit": {"speed": "deg"}}, "no quantity 'speed'"),
+        ({"hold": False}, "hold is for what drives the model"),
+        ({"joints": None, "topic": "/x", "wraps": True}, "wraps is for joints"),
+    ],
+)
+def test_units_that_do_not_exist_are_refused(keys: dict, error: str) -> None:
+    signal = {"joints": ["pan"], "noise": {"position": 0.01}} | keys
+    with pytest.raises(amhe.AmheError, match=error):
+        amhe.System.from_model(
+            mujoco.MjSpec.from_string(ARM),
+            parameters={"a": {"targets": [{"joint": "pan", "set": "armature"}]}},
+            signals={"joints": signal},
+        )
+
+
+SECOND = 10**9
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """Mass 2 from 10 s on, 3 from 11 s on."""
+    path = tmp_path / "log.mcap"
+    with LogWriter(path, {}) as writer:
+        for tenth in range(100, 121):
+            mass = 2.0 if tenth < 110 else 3.0
+            writer.joint_state("/amhe/truth", tenth * SECOND // 10, ["mass", "friction"], [mass, 0.5])
+    return path
+
+
+def test_a_value_holds_until_the_next_one(log: Path) -> None:
+    stamps = np.array([10.0, 10.95, 11.0, 12.0]) * SECOND
+    truth = read_truth(log, stamps.astype(np.int64), LogSettings())
+    assert list(truth) == ["mass", "friction"]
+    np.testing.assert_array_equal(truth["mass"], [2.0, 2.0, 3.0, 3.0])
+    np.testing.assert_array_equal(truth["friction"], 0.5)
+
+
+def test_nothing_is_true_before_the_first_value_and_the_last_holds(log: Path) -> None:
+    truth = read_truth(log, np.array([9 * SECOND, 15 * SECOND]), LogSettings())
+    np.testing.assert_array_equal(truth["mass"], [np.nan, 3.0])
+
+
+def test_a_truth_that_is_stated_seldom_holds_and_is_no_loss(tmp_path: Path, caplog) -> None:
+    with LogWriter(tmp_path / "log.mcap", {}) as writer:
+        for tenth in [*range(100, 110), *range(150, 160)]:
+            writer.joint_state("/amhe/truth", tenth * SECOND // 10, ["mass"], [2.0])
+    truth = read_truth(tmp_path / "log.mcap", np.array([13 * SECOND]), LogSettings())
+    np.testing.assert_array_equal(truth["mass"], [2.0])
+    assert not caplog.records
+
+
+def test_a_log_that_tells_no_truth_has_none() -> None:
+    path = bundled_root() / "examples" / "logs" / "pendulum.mcap"
+    assert read_truth(path, np.array([0]), LogSettings()) == {}

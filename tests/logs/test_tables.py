@@ -1,19 +1,33 @@
-"""Tables as logs: every way to write one and the same log gives the same numbers."""
+"""Tables: CSV, Parquet, HDF5, NumPy, LeRobot data sets and ULog; and what damage does to them."""
 
 from __future__ import annotations
 
+import json
+import resource
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import h5py
 import numpy as np
+import pyarrow
+import pyarrow as pa
+import pyarrow.parquet
 import pytest
+import yaml
+from pyarrow import parquet
 
-from amhe_cli.core.errors import LogError
+from amhe_cli.cli.main import run
+from amhe_cli.core.errors import AmheError, ConfigError, LogError
 from amhe_cli.core.log import Log
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
-from amhe_cli.logs import read_signals, survey
+from amhe_cli.init.folder import init_system
+from amhe_cli.logs import episode_paths, read_signals, survey
 from amhe_cli.logs.containers import text_table
+from tests.logs.log_makers import write_ulog
 
 DT = 0.01
 T = DT * np.arange(200)
@@ -251,3 +265,311 @@ def test_a_header_that_windows_wrote(tmp_path: Path) -> None:
     (tmp_path / "run.csv").write_bytes(f"Zeit [ms];Größe [°]\n{rows}\n".encode("latin-1"))
     log = read(tmp_path / "run.csv", Signal("s", "", ("position",), columns={"position": ("Größe",)}))
     np.testing.assert_allclose(log["s.position"].values[:, 0], Q[:, 0], atol=1e-9)
+
+
+SIGNAL = Signal("joints", "", ("position",), columns={"position": ("q",)})
+#: Mutated files of each format.
+TRIES = 60
+#: A wild time makes a long clock of it: `logs.tracks` stops at 10 million rows.
+_MEMORY = 400 * 2**20
+
+
+def written(folder: Path, suffix: str) -> Path:
+    path, arrays = folder / f"log.{suffix}", {"time": 0.01 * np.arange(300), "q": np.sin(np.arange(300.0))}
+    if suffix == "csv":
+        np.savetxt(path, np.column_stack(list(arrays.values())), delimiter=",", header="time,q", comments="")
+    elif suffix == "npz":
+        np.savez(path, **arrays)
+    elif suffix == "ulg":
+        stamps = np.round(1e6 * arrays["time"]).astype(np.uint64)
+        write_ulog(path, {("log", 0): {"timestamp": stamps, "q": arrays["q"]}})
+    elif suffix == "h5":
+        with h5py.File(path, "w") as file:
+            for name, array in arrays.items():
+                file[name] = array
+    else:
+        write = pyarrow.parquet.write_table
+        write(pyarrow.table(arrays), path)
+    return path
+
+
+def mutated(content: bytes, rng: np.random.Generator) -> bytes:
+    """Cut, overwritten, doubled or spliced somewhere."""
+    place = int(rng.integers(len(content)))
+    kind = int(rng.integers(5))
+    if kind == 0:
+        return content[:place]
+    if kind == 1:
+        end = place + int(rng.integers(1, 40))
+        return content[:place] + rng.bytes(end - place) + content[end:]
+    if kind == 2:
+        return content[:place] + content[max(place - 200, 0) :]
+    if kind == 3:
+        flipped = bytearray(content)
+        for spot in rng.integers(len(content), size=8):
+            flipped[spot] ^= 1 << int(rng.integers(8))
+        return bytes(flipped)
+    return content[:place] + b"9" * 400 + content[place:]
+
+
+@pytest.mark.parametrize("suffix", ["csv", "npz", "h5", "parquet", "ulg"])
+def test_damage_is_reported_in_one_line(suffix: str, tmp_path: Path) -> None:
+    content = written(tmp_path, suffix).read_bytes()
+    rng = np.random.default_rng(7)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for number in range(TRIES):
+        path = tmp_path / f"{number}.{suffix}"
+        path.write_bytes(mutated(content, rng))
+        for read in (lambda p: read_signals(p, [SIGNAL], 0.01, LogSettings()), survey):
+            try:
+                read(path)
+            except AmheError as error:
+                assert str(path) in str(error)
+                assert "\n" not in str(error)
+        path.unlink()
+    assert 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) < _MEMORY
+
+
+FPS, FRAMES, EPISODES = 50, 100, 4
+AT = np.arange(FRAMES) / FPS
+NAMES = ("shoulder_pan.pos", "elbow_flex.pos", "gripper.pos")
+SIGNALS = [
+    Signal("joints", "", ("position",), columns={"position": [f"observation.state.{n}" for n in NAMES[:2]]}),
+    Signal("command", "", ("position",), columns={"position": ["action.elbow_flex.pos"]}, is_input=True),
+]
+
+
+def state(episode: int, size: float) -> np.ndarray:
+    angles = [
+        size * np.sin((1 + episode) * AT),
+        size * np.cos(AT),
+        50.0 + 0.0 * AT,
+    ]
+    return np.stack(angles, axis=1).astype(np.float32)
+
+
+def frames(episode: int, size: float) -> pa.Table:
+    lists = pa.list_(pa.float32(), len(NAMES))
+    values = state(episode, size)
+    return pa.table(
+        {
+            "observation.state": pa.array(list(values), lists),
+            "action": pa.array(list(values + np.float32(1.0)), lists),
+            "timestamp": AT.astype(np.float32),
+            "frame_index": np.arange(FRAMES),
+            "episode_index": np.full(FRAMES, episode),
+            "index": episode * FRAMES + np.arange(FRAMES),
+            "task_index": np.zeros(FRAMES, dtype=np.int64),
+            "observation.images.top": [b"\xff\xd8"] * FRAMES,
+        }
+    )
+
+
+def dataset(folder: Path, version: str, size: float = 1.0, names: Any = None, **more: Any) -> Path:
+    """A dataset after the published layout: 2.1 a file for each episode, 3.0 two episodes in a file."""
+    path = folder / "data_set"
+    (path / "meta").mkdir(parents=True)
+    joints = {"dtype": "float32", "shape": [len(NAMES)], "names": names or list(NAMES), **more}
+    features = {
+        "observation.state": joints,
+        "action": joints,
+        "timestamp": {"dtype": "float32", "shape": [1]},
+    }
+    features["observation.images.top"] = {"dtype": "image", "shape": [3, 4, 4]}
+    new = version == "v3.0"
+    places = "chunk_index:03d}/file-{file_index" if new else "episode_chunk:03d}/episode_{episode_index"
+    info = {
+        "codebase_version": version, "robot_type": "so101", "total_episodes": EPISODES, "chunks_size": 1000,
+        "fps": FPS, "features": features, "data_path": f"data/chunk-{{{places}:0{3 if new else 6}d}}.parquet",
+    }  # fmt: skip
+    (path / "meta" / "info.json").write_text(json.dumps(info))
+    (path / "data" / "chunk-000").mkdir(parents=True)
+    if new:
+        for file in range(EPISODES // 2):
+            both = pa.concat_tables([frames(2 * file, size), frames(2 * file + 1, size)])
+            parquet.write_table(both, path / "data" / "chunk-000" / f"file-{file:03d}.parquet")
+        listed = path / "meta" / "episodes" / "chunk-000"
+        listed.mkdir(parents=True)
+        numbers = np.arange(EPISODES)
+        places_of = {
+            "episode_index": numbers,
+            "data/chunk_index": 0 * numbers,
+            "data/file_index": numbers // 2,
+        }
+        parquet.write_table(pa.table(places_of), listed / "file-000.parquet")
+    else:
+        for episode in range(EPISODES):
+            file = path / "data" / "chunk-000" / f"episode_{episode:06d}.parquet"
+            parquet.write_table(frames(episode, size), file)
+    return path
+
+
+@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+def test_an_episode_is_a_log(version: str, tmp_path: Path) -> None:
+    path = dataset(tmp_path, version)
+    for episode in range(EPISODES):
+        log = read_signals(Path(f"{path}#{episode}"), SIGNALS, 1.0 / FPS, LogSettings())
+        assert log.steps == FRAMES
+        np.testing.assert_allclose(log["joints.position"].values, state(episode, 1.0)[:, :2], atol=1e-6)
+        wanted = state(episode, 1.0)[:, 1] + 1.0
+        np.testing.assert_allclose(log["command.position"].values[:, 0], wanted, atol=1e-6)
+    found = survey(Path(f"{path}#2"))
+    assert found.format == f"LeRobot {version[:2]}"
+    (topic,) = found.topics
+    assert topic.count == FRAMES
+    assert topic.entries == (
+        *(f"observation.state.{name}" for name in NAMES), *(f"action.{name}" for name in NAMES), "timestamp"
+    )  # fmt: skip
+
+
+def test_addresses(tmp_path: Path) -> None:
+    path = dataset(tmp_path, "v3.0")
+
+    def numbers(part: str) -> list[int]:
+        return [int(str(one).rpartition("#")[2]) for one in episode_paths(Path(f"{path}{part}"))]
+
+    assert numbers("") == numbers("#:") == [0, 1, 2, 3]
+    assert (numbers("#3"), numbers("#1:3"), numbers("#2:"), numbers("/#0")) == ([3], [1, 2], [2, 3], [0])
+    for wrong in ("#4", "#2:2", "#2:9", "#x", "#-1"):
+        with pytest.raises(ConfigError):
+            episode_paths(Path(f"{path}{wrong}"))
+    assert episode_paths(tmp_path) == [tmp_path]
+    with pytest.raises(ConfigError, match="each episode of a dataset is a log; name one, such as .*#0"):
+        survey(path)
+    with pytest.raises(ConfigError, match="no such file"):
+        survey(tmp_path / "none#3")
+
+
+def test_what_is_missing_or_of_another_version_is_named(tmp_path: Path) -> None:
+    path = dataset(tmp_path, "v2.1")
+    (path / "data" / "chunk-000" / "episode_000002.parquet").unlink()
+    with pytest.raises(LogError, match=r"#2: its file data/chunk-000/episode_000002.parquet is missing"):
+        survey(Path(f"{path}#2"))
+    info = path / "meta" / "info.json"
+    info.write_text(info.read_text().replace("v2.1", "v4.0"))
+    with pytest.raises(LogError, match="of version 4; versions 2 and 3 are read"):
+        survey(Path(f"{path}#0"))
+
+
+@pytest.mark.medium
+def test_a_damaged_data_set_is_one_line(tmp_path: Path) -> None:
+    path = dataset(tmp_path, "v3.0")
+    rng = np.random.default_rng(3)
+    files = sorted(file for file in path.rglob("*") if file.is_file())
+    for number in range(60):
+        file = files[number % len(files)]
+        content = file.read_bytes()
+        file.write_bytes(mutated(content, rng))
+        for read in (lambda p: read_signals(p, SIGNALS, 0.02, LogSettings()), survey):
+            try:
+                for one in episode_paths(path)[:2]:
+                    read(one)
+            except AmheError as error:
+                assert str(path) in str(error)
+                assert "\n" not in str(error)
+        file.write_bytes(content)
+
+
+ARM = """<mujoco>
+  <worldbody><body><joint name="{}" axis="0 0 1"/><geom size=".1" mass="1"/>
+    <body pos="0 0 .3"><joint name="{}" axis="0 1 0"/><geom size=".1" mass="1"/>
+      <body pos="0 0 .3"><joint name="{}" axis="0 1 0"/><geom size=".1" mass=".1"/></body>
+  </body></body></worldbody>
+  <actuator>
+    <position name="m1" joint="{}"/><position name="m2" joint="{}"/><position name="m3" joint="{}"/>
+  </actuator>
+</mujoco>"""
+
+
+@pytest.mark.parametrize("own", [("shoulder_pan", "elbow_flex", "gripper"), ("a", "b", "c")])
+def test_init_takes_the_state_and_the_action(own: tuple[str, ...], tmp_path: Path) -> None:
+    """By name, and in order where no name is known."""
+    path = dataset(tmp_path, "v2.1")
+    model = tmp_path / "arm.xml"
+    model.write_text(ARM.format(*own, *own))
+    init_system(model, episode_paths(path), tmp_path / "system")
+    system = yaml.safe_load((tmp_path / "system" / "system.yaml").read_text())
+    joints, command = system["signals"]["joints"], system["signals"]["command"]
+    assert joints["columns"] == {"position": [f"observation.state.{name}" for name in NAMES]}
+    assert joints["joints"] == list(own)
+    assert command["columns"] == {"position": [f"action.{name}" for name in NAMES]}
+
+
+def test_commands_take_episodes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = dataset(tmp_path, "v3.0")
+    assert run(["inspect", f"{path}#1:3", "--json"]) == 0
+    logs = json.loads(capsys.readouterr().out)["logs"]
+    assert [one["path"].rpartition("#")[2] for one in logs] == ["1", "2"]
+    assert run(["inspect", f"{path}#9"]) == 2
+    assert "the dataset has the episodes 0 to 3" in capsys.readouterr().err
+    assert run(["mhe-replay", str(path)]) == 2
+    assert f"name one, such as {path}#0" in " ".join(capsys.readouterr().err.split())
+
+
+ULOG_Q = np.stack((np.cos(T), np.sin(T)), axis=1).astype(np.float32)
+
+
+def ulog_written(folder: Path, dropout: int = 0) -> Path:
+    """One topic with an array, and two instances of another, each with a clock of its own."""
+    stamps = (20_000_000 + np.round(1e6 * T)).astype(np.uint64)
+    arm = {"timestamp": stamps, "timestamp_sample": stamps - np.uint64(500), "q": ULOG_Q}
+    slow = {"timestamp": stamps[::4], "x": ULOG_Q[::4, 1], "count": np.arange(50, dtype=np.int32)}
+    other = slow | {"x": -ULOG_Q[::4, 1]}
+    topics = {("arm", 0): arm, ("gyro", 0): slow, ("gyro", 1): other}
+    return write_ulog(folder / "log.ulg", topics, dropout)
+
+
+def test_topics_are_tables_with_arrays_and_microseconds(tmp_path: Path) -> None:
+    path = ulog_written(tmp_path)
+    signals = [
+        Signal("joints", "arm", ("position",), columns={"position": ("q",)}),
+        Signal("one", "arm", ("position",), columns={"position": ("q[1]",)}),
+        Signal("gyro", "gyro_1", ("value",), columns={"value": ("x",)}),
+    ]
+    log = read_signals(path, signals, DT, LogSettings())
+    assert log.start_ns == 20_000_000_000
+    np.testing.assert_array_equal(log["joints.position"].values[: T.size], ULOG_Q[: log.steps])
+    np.testing.assert_array_equal(log["one.position"].values[:, 0], ULOG_Q[: log.steps, 1])
+    np.testing.assert_allclose(log["gyro.value"].values[::4, 0], -ULOG_Q[: log.steps : 4, 1], rtol=1e-14)
+
+
+def test_inspection_lists_them(tmp_path: Path) -> None:
+    found = survey(ulog_written(tmp_path, dropout=250))
+    assert found.format == "ULog (3 tables)"
+    assert [topic.name for topic in found.topics] == ["arm", "gyro", "gyro_1"]
+    assert found.topics[0].entries == ("timestamp", "timestamp_sample", "q[2]")
+    assert found.topics[1].rate == pytest.approx(25.0)
+    assert found.problems == ("the recorder dropped messages 1 times, 0.25 s in all",)
+
+
+def test_what_was_said_before_the_recording_is_no_part_of_its_duration(tmp_path: Path) -> None:
+    stamps = (20_000_000 + np.round(1e6 * T)).astype(np.uint64)
+    early = {"timestamp": np.array([1_000_000], dtype=np.uint64), "x": ULOG_Q[:1, 1]}
+    arm = {"timestamp": stamps, "q": ULOG_Q}
+    found = survey(write_ulog(tmp_path / "log.ulg", {("arm", 0): arm, ("boot", 0): early}))
+    assert found.duration == pytest.approx(T[-1])
+    halves = {"timestamp": np.where(T < 1.0, stamps, stamps + np.uint64(60_000_000)), "q": ULOG_Q}
+    found = survey(write_ulog(tmp_path / "halves.ulg", {("arm", 0): halves}))
+    assert found.duration == pytest.approx(60.0 + T[-1])
+
+
+def test_without_the_extra_one_line_says_how_to_get_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyulog", None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(LogError, match=r"a ULog of PX4.*pip install 'amhe\[ulog\]'"):
+        survey(ulog_written(tmp_path))
+
+
+def test_zeros_at_its_end_are_left_out_and_between_its_messages_refused(tmp_path: Path) -> None:
+    """pyulog takes a second for each megabyte of them."""
+    whole, padded, torn = ulog_written(tmp_path), tmp_path / "padded.ulg", tmp_path / "torn.ulg"
+    content = whole.read_bytes()
+    padded.write_bytes(content + bytes(8 * 2**20))
+    torn.write_bytes(content + bytes(2**20) + content[-100:])
+    began = time.process_time()
+    assert [t.entries for t in survey(padded).topics] == [t.entries for t in survey(whole).topics]
+    with pytest.raises(LogError, match="a megabyte of zeros between its messages"):
+        survey(torn)
+    assert time.process_time() - began < 2.0

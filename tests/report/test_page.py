@@ -1,11 +1,34 @@
-"""The page and the table that all reports share."""
+"""Parts of the report's pages: numbers, folders, what is shown and what is replayed."""
+
+from __future__ import annotations
 
 import io
+import math
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from html import unescape
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from rich.console import Console
 
+import amhe_cli as amhe
+from amhe_cli.core.belief import belief_of
+from amhe_cli.core.parameters import Parameter, ParameterSpace
+from amhe_cli.report import numbers
+from amhe_cli.report.folder import results
 from amhe_cli.report.page import Section, Statement, page, result_page
+from amhe_cli.report.replay import windows_line
+from amhe_cli.report.replay_files import _together
 from amhe_cli.report.tables import NUMBER, Table, rich_table
+from tests.web.figures import panels
 
 TABLE = Table(("name", "mass", "goal"), ("name", NUMBER, ""), [("a<b", "4.0", "NO"), ("c", "5.0", "yes")])
 PROVENANCE = {
@@ -68,3 +91,225 @@ def test_columns_can_be_left_out() -> None:
         ["name", ""],
         [["a<b", "NO"], ["c", "yes"]],
     )
+
+
+@pytest.mark.parametrize(
+    ("estimate", "sd", "text"),
+    [
+        (0.742137, 0.00412, "0.7421 ± 0.0041"),
+        (0.5, 0.25, "0.50 ± 0.25"),
+        (123.456, 12.3, "123 ± 12"),
+        (1234.5, 456.0, "1230 ± 460"),
+        (3.2e-9, 1.0e-10, "3.2e-09 ± 1e-10"),
+        (1.0, float("nan"), "1 ± –"),
+        (-0.001, 0.25, "0.00 ± 0.25"),
+    ],
+)
+def test_an_estimate_has_the_digits_that_its_sd_leaves(estimate, sd, text) -> None:
+    assert numbers.with_sd(estimate, sd) == text
+
+
+@given(st.floats(1e-8, 1e8), st.floats(1e-8, 1e8))
+def test_rounding_moves_a_value_by_less_than_its_resolution(value, resolution) -> None:
+    shown = float(numbers.rounded(value, resolution))
+    assert math.isclose(shown, value, rel_tol=1e-5) or abs(shown - value) <= resolution
+
+
+@pytest.mark.parametrize(
+    ("fraction", "text"), [(0.99, "99 %"), (0.0123, "1.2 %"), (0.0, "0 %"), (math.inf, "–")]
+)
+def test_percent(fraction, text) -> None:
+    assert numbers.percent(fraction) == text
+
+
+def test_long_lists_are_cut() -> None:
+    assert numbers.some(list("abc")) == "a, b and c"
+    assert numbers.some(list("abcdefg")) == "a, b, c, d, e, f and g"
+    assert numbers.some(list("abcdefgh")) == "a, b, c, d, e, f and 2 more"
+
+
+def test_units() -> None:
+    assert numbers.length(0.0092) == "9.2 mm"
+    assert numbers.length(math.nan) == "–"
+    assert numbers.angle(math.pi / 2) == "90°"
+    assert numbers.quantity("0.3", "-") == "0.3"
+    assert numbers.quantity("0.3", "kg") == "0.3 kg"
+
+
+def filled(folder: Path) -> dict[str, str]:
+    return {path.name: path.read_text() for path in folder.iterdir()}
+
+
+def test_old_results_keep_their_page_until_the_new_page_is_there(tmp_path: Path) -> None:
+    """A SIGKILL while the page was made had left new results without a page."""
+    old = {"result.json": "old", "report.html": "old"}
+    for name, text in old.items():
+        (tmp_path / name).write_text(text)
+    seen: list[dict[str, str]] = []
+
+    def page() -> str:
+        seen.append({name: (tmp_path / name).read_text() for name in old})
+        return "new"
+
+    with results(tmp_path, page, force=True) as scratch:
+        (scratch / "result.json").write_text("new")
+    assert seen == [old]
+    assert filled(tmp_path) == dict.fromkeys(old, "new")
+
+
+def test_ctrl_c_while_the_page_is_made_keeps_the_results(tmp_path: Path) -> None:
+    (tmp_path / "report.html").write_text("old")
+
+    def page() -> str:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), results(tmp_path, page, force=True) as scratch:
+        (scratch / "result.json").write_text("new")
+    assert filled(tmp_path) == {"result.json": "new"}
+
+
+@pytest.mark.parametrize(
+    ("counts", "line"),
+    [
+        ((61, 2, 5, 0, 0), "61 windows used (2 jumps detected), 5 skipped (too little excitation)"),
+        ((1, 1, 0, 0, 0), "1 window used (1 jump detected)"),
+        ((0, 0, 0, 3, 0), "0 windows used, 3 skipped (a missing signal)"),
+        (
+            (9, 0, 4, 2, 1),
+            "9 windows used, 7 skipped "
+            "(4 with too little excitation, 2 with a missing signal, 1 with diverged rollouts)",
+        ),
+    ],
+)
+def test_used_and_skipped_windows_are_counted(counts: tuple[int, ...], line: str) -> None:
+    record: dict[str, Any] = dict(zip(("updated", "jumps", "still", "gaps", "lost"), counts, strict=True))
+    assert windows_line(record) == line
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_bias_of_zero_is_no_fault() -> None:
+    parameters = (
+        Parameter("mass", "kg", 4.0, 0.4, 40.0, log=True, prior_sd=0.5),
+        Parameter("friction", "-", 0.5, 0.05, 5.0, log=True, prior_sd=0.5),
+        Parameter("bias", "m", 0.0, -1.0, 1.0, log=False, prior_sd=0.2),
+    )
+    system: Any = SimpleNamespace(name="", space=ParameterSpace(parameters), fixed={}, parts={}, sets={})
+    z_covariance = 0.01 * np.array([[1.0, -0.98, 0.0], [-0.98, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    belief = belief_of(system, np.zeros(3), z_covariance)
+    last = SimpleNamespace(belief=belief, theta=belief.estimate, sd=belief.sd)
+    done: Any = SimpleNamespace(system=system, estimates=[last])
+    assert [one.text for one in _together(done)] == ["mass * friction"]
+
+
+LOG = Path(__file__).parents[2] / "examples" / "logs" / "pendulum.mcap"
+
+
+@pytest.fixture(scope="module")
+def system() -> amhe.System:
+    return amhe.System.load("pendulum")
+
+
+@pytest.fixture(scope="module")
+def log(system: amhe.System) -> amhe.Log:
+    return amhe.read_log(LOG, system)
+
+
+def written_page(value: amhe.Log | amhe.System | amhe.Belief) -> str:
+    """The written_page in the frame that a notebook shows."""
+    frame = re.fullmatch(r'<iframe [^>]*srcdoc="([^"]*)"></iframe>', value._repr_html_())
+    assert frame
+    found = unescape(frame[1])
+    assert not re.search(r"(src|href)=|url\(|@import", re.sub(r'xlink:href="#|href="#|url\(#', "", found))
+    return found
+
+
+def texts(html: str) -> list[str]:
+    """The texts of all table cells."""
+    return [unescape(re.sub(r"<[^>]*>", "", cell)) for cell in re.findall(r"<td[^>]*>(.*?)</td>", html)]
+
+
+def test_a_log_shows_each_series_with_its_numbers(log: amhe.Log, tmp_path: Path) -> None:
+    shown = written_page(log)
+    assert shown == log.plot().html
+    cells = texts(shown)
+    for key, one in log.series.items():
+        row = cells[cells.index(key) :]
+        assert row[5] == ", ".join(one.columns)
+        assert row[3] == f"{one.values[one.valid].min():.3g} to {one.values[one.valid].max():.3g}"
+    assert [panel["title"] for panel in panels(shown)] == list(log.series)
+    assert "100 Hz" in cells and "50 Hz" in cells
+    assert log.plot().save(tmp_path / "log.html").read_text().startswith("<!doctype html>")
+
+
+@pytest.mark.medium
+def test_a_bodys_position_is_in_metres_and_true_values_are_words() -> None:
+    time = np.arange(0.0, 1.0, 0.01)
+    go1 = amhe.System.load("go1_push")
+    data = {
+        "joints": {"time": time, "position": np.zeros((100, 12)), "velocity": np.zeros((100, 12))},
+        "command": {"time": time, "position": np.zeros((100, 12))},
+    }
+    for body in ("trunk", "box"):
+        turn = np.tile([1.0, 0.0, 0.0, 0.0], (100, 1))
+        data[body] = {"time": time, "position": np.ones((100, 3)), "orientation": turn}
+    log = replace(amhe.Log.from_arrays(data, go1), metadata={"truth": '{"box_mass": 4.0}'})
+    shown = written_page(log)
+    cells = texts(shown)
+    assert cells[cells.index("box.position") + 4] == "m"
+    assert {panel["title"]: panel.get("unit") for panel in panels(shown)}["box.position"] == "m"
+    assert cells[cells.index("joints.position") + 4] == "m or rad"
+    assert "true values: box_mass 4" in shown
+
+
+def test_a_gap_stays_open(log: amhe.Log) -> None:
+    key = "joints.position"
+    one = log[key]
+    valid = one.valid.copy()
+    valid[500:1500] = False
+    cut = replace(log, series={key: replace(one, valid=valid)})
+    ((line,),) = [panel["lines"] for panel in panels(cut.plot().html)]
+    open_from, to = (line["x"][i] for i in (line["y"].index(None) - 1, -1))
+    assert 0.9 < open_from <= 1.0 and to > 14.9, "the line ends at the gap, and begins again after it"
+    assert "87 %" in texts(written_page(cut)), "1000 of 7501 rows are missing"
+
+
+def test_names_are_text_and_a_log_without_samples_is_a_table(log: amhe.Log) -> None:
+    one = log["joints.position"]
+    odd = replace(one, columns=("<script>alert(1)</script>",), valid=np.zeros_like(one.valid))
+    shown = written_page(replace(log, series={"a<b>.value": odd}, source="<i>x</i>"))
+    assert "<script>alert" not in shown and "a<b>" not in shown and "<i>x" not in shown
+    assert not panels(shown)
+
+
+def test_a_system_shows_its_unknowns_and_its_signals(system: amhe.System) -> None:
+    cells = texts(written_page(system))
+    for parameter in system.space.parameters:
+        row = cells[cells.index(parameter.name) :]
+        assert float(row[1]) == pytest.approx(parameter.nominal, rel=1e-3)
+        assert row[5] == system.sets[parameter.name]
+    assert {"/joint_states", "/joint_commands", "drives the model", "is compared"} <= set(cells)
+    fixed = written_page(system.fixing({"damping": 0.03}))
+    assert "Taken as known: damping 0.03" in fixed
+
+
+def test_a_belief_shows_estimates_and_correlations(system: amhe.System) -> None:
+    d = len(system.space)
+    known = belief_of(system, np.zeros(d), 0.01 * (np.eye(d) + 0.5 * (np.ones((d, d)) - np.eye(d))))
+    shown = written_page(known)
+    cells = texts(shown)
+    low, high = np.quantile(known.sample(40_000, 0), [0.05, 0.95], axis=0)
+    for i, name in enumerate(known.names):
+        interval = cells[cells.index(name) + 3]
+        assert [float(end) for end in interval.split(" to ")] == pytest.approx([low[i], high[i]], rel=0.03)
+    assert cells.count("0.50") == d * (d - 1)
+    assert "Correlations" not in written_page(known.about([known.names[0]]))
+
+
+@pytest.mark.medium
+def test_nothing_of_it_is_loaded_before_it_is_shown() -> None:
+    text = (
+        "import sys, amhe_cli as amhe; amhe.Log, amhe.System, amhe.Belief; "
+        "print([m for m in ('matplotlib', 'jinja2', 'amhe_cli.report') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"

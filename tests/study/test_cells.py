@@ -1,14 +1,33 @@
-"""The hash of a cell covers the code that makes its result."""
+"""Cells of a study, and what runs them."""
 
+import multiprocessing
+import os
+import re
+import signal
 import subprocess
 import sys
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import BrokenExecutor
 from pathlib import Path
 
 import pytest
 
 import amhe_cli
+from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.study.cells import Cell, cell_of, setting_of, words
+from amhe_cli.study.executors import ATTEMPTS, gathered, local, pool_of, remote
 from amhe_cli.study.run import source_files
+from tests.clusters import (
+    Cluster,
+    deadly,
+    forgetful,
+    process_id_after,
+    reciprocal,
+    slow,
+    square,
+)
 from tests.study.cells_at_play import CODE
 
 
@@ -66,3 +85,124 @@ def test_the_hash_changes_with_a_source() -> None:
     files = source_files(PACKAGE)
     assert not [name for name in files if name.startswith(("cli/", "report/")) or "goals" in name]
     assert len(files["matching/cost.py"]) == 64
+
+
+def never() -> bool:
+    return False
+
+
+def test_local_processes_do_all_the_work() -> None:
+    done = dict(gathered(square, {n: n for n in range(5)}, pool_of(2, None), never))
+    assert done == {n: n * n for n in range(5)}
+
+
+def test_an_error_is_a_result_like_others() -> None:
+    done = dict(gathered(reciprocal, {n: n for n in (0, 2)}, pool_of(1, None), never))
+    assert isinstance(done[0], ZeroDivisionError)
+    assert done[2] == 0.5
+
+
+def test_work_whose_process_died_is_done_again(tmp_path: Path) -> None:
+    assert dict(gathered(forgetful, {"a": str(tmp_path / "a")}, pool_of(1, None), never)) == {"a": "alive"}
+
+
+def test_work_that_always_kills_its_process_is_given_up_and_the_rest_is_done() -> None:
+    done = dict(gathered(deadly, {n: n for n in range(3)}, pool_of(1, None), never))
+    assert isinstance(done.pop(0), BrokenExecutor)
+    assert done == {1: 1, 2: 2}
+    assert ATTEMPTS == 3
+
+
+def test_stopping_gives_up_what_is_running_at_once() -> None:
+    begun = time.monotonic()
+    came = []
+
+    def stopped() -> bool:
+        return bool(came)
+
+    for key, value in gathered(slow, {"short": 0.0, "long": 60.0}, pool_of(2, None), stopped):
+        came.append((key, value))
+    assert came == [("short", 0.0)]
+    assert time.monotonic() - begun < 20.0
+
+
+def test_leaving_a_local_pool_leaves_no_process_behind() -> None:
+    with local(1) as executor:
+        executor.submit(slow, 60.0)
+        child = executor.submit(os.getpid)
+        time.sleep(0.1)
+    assert child.cancelled() or child.exception() is not None
+    assert not multiprocessing.active_children()
+
+
+@pytest.mark.parametrize("address", ["localhost", "tcp://", "nonsense://127.0.0.1:1"])
+def test_an_address_that_is_none_is_refused_in_one_line(address: str) -> None:
+    pytest.importorskip("distributed")
+    begun = threading.active_count()
+    with pytest.raises(AmheError) as caught, remote(address):
+        pass
+    assert "\n" not in str(caught.value)
+    assert threading.active_count() == begun, "a client that was begun ends in a traceback"
+
+
+def test_where_nobody_answers_it_is_reported_soon_and_how_to_start_one(monkeypatch) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("amhe_cli.study.executors.PATIENCE", 1.0)
+    begun = time.monotonic()
+    with pytest.raises(AmheError, match="no scheduler answers at tcp://127.0.0.1:9.*dask worker"):
+        dict(gathered(square, {1: 1}, pool_of(1, "tcp://127.0.0.1:9"), never))
+    assert time.monotonic() - begun < 8.0
+
+
+def test_without_the_extra_its_name_is_reported(monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ConfigError, match=re.escape("amhe[cluster]")), remote("tcp://127.0.0.1:8786"):
+        pass
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[Cluster]:
+    pytest.importorskip("distributed")
+    with Cluster(tmp_path) as cluster:
+        yield cluster
+
+
+@pytest.mark.medium
+def test_cells_of_a_killed_worker_are_run_by_another(cluster: Cluster, tmp_path: Path) -> None:
+    workers = [cluster.worker(), cluster.worker()]
+    started = tmp_path / "started.txt"
+    items = {n: (str(started), 1.0) for n in range(4)}
+    killed = False
+
+    def stopped() -> bool:
+        nonlocal killed
+        running = started.read_text().split() if started.exists() else []
+        if str(workers[0].pid) in running and not killed:
+            workers[0].send_signal(signal.SIGKILL)
+            killed = True
+        return False
+
+    done = dict(gathered(process_id_after, items, pool_of(1, cluster.address), stopped))
+    assert killed
+    assert done == dict.fromkeys(range(4), workers[1].pid)
+    assert str(workers[0].pid) in started.read_text().split()
+
+
+@pytest.mark.medium
+def test_a_scheduler_that_goes_away_stops_the_work_with_one_line(cluster: Cluster) -> None:
+    cluster.worker()
+    items = {n: 0.2 if n == 0 else 60.0 for n in range(3)}
+    with pytest.raises(AmheError, match="resume=True"):
+        for _ in gathered(slow, items, pool_of(1, cluster.address), never):
+            cluster.close()
+
+
+def test_a_scheduler_without_workers_is_reported_and_can_be_left(cluster: Cluster, caplog) -> None:
+    begun = time.monotonic()
+
+    def stopped() -> bool:
+        return time.monotonic() - begun > 1.0
+
+    assert not list(gathered(slow, {1: 60.0}, pool_of(1, cluster.address), stopped))
+    assert f"dask worker {cluster.address}" in caplog.text
+    assert time.monotonic() - begun < 15.0

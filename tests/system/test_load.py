@@ -1,22 +1,29 @@
-"""A system file is read whole: every mistake at once, each with its place."""
+"""Systems as they are read: files, mistakes, identity and cost."""
 
 from __future__ import annotations
 
 import logging
+import struct
+import time
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
 from amhe_cli.core.bundled import bundled_root
 from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.limits import limit
 from amhe_cli.core.yaml_file import YamlFile, scalar
 from amhe_cli.matching.readings import reading_of
 from amhe_cli.system.description.folders import find_system
 from amhe_cli.system.description.targets import WORDS
+from amhe_cli.system.model.files import compiled, read_spec
 from amhe_cli.system.system import System
 from tests.conftest import MODELS
+from tests.system.conftest import MODEL
 
 Write = Callable[..., Path]
 
@@ -395,3 +402,212 @@ def test_a_target_that_makes_no_sense_is_refused(written: Write, target: str, te
         load(written, HIP + "}", target)
     (line,) = str(raised.value).splitlines()
     assert text in line and "system.yaml:" in line, line
+
+
+PARAMETERS = {
+    "mass": {"prior_sd": 0.1, "targets": [{"body": "box", "set": "mass"}]},
+    "damping": {"nominal": 0.2, "targets": [{"joint": "[hk]*", "set": "damping"}]},
+    "scale": {"targets": [{"geom": "box", "set": "sliding_friction", "mode": "scale"}]},
+    "delay": {"nominal": 0.01, "bounds": [0.0, 0.05], "targets": [{"set": "command_delay"}]},
+}
+SIGNALS = {"hip": {"joints": ["hip"], "noise": {"position": 0.01}}, "command": {"actuators": ["hip_servo"]}}
+
+
+def made(xml: str = MODEL, **changes: object) -> System:
+    arguments = {"parameters": PARAMETERS, "signals": SIGNALS, "name": "one"} | changes
+    return System.from_model(mujoco.MjSpec.from_string(xml), warn=False, **arguments)  # pyright: ignore
+
+
+def changed(other: System) -> list[str]:
+    own = made()
+    assert own.parts.keys() == other.parts.keys()
+    return [part for part in own.parts if own.parts[part] != other.parts[part]]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "parts"),
+    [
+        ('damping="0.3"', 'damping="0.4"', ["joints"]),
+        ('mass="1"/>', 'mass="1.1"/>', ["bodies"]),
+        ('kp="20"', 'kp="21"', ["actuators"]),
+        ('gear="3"', 'gear="-3"', ["actuators"]),
+        ('friction="1 0.005 0.0001"', 'friction="0.9 0.005 0.0001"', ["geoms"]),
+        ('solref="0.02 1"', 'solref="0.03 1"', ["contact pairs"]),
+        ("<worldbody>", '<option timestep="0.001"/><worldbody>', ["options"]),
+    ],
+)
+def test_a_changed_model_is_known_by_its_part(old: str, new: str, parts: list[str]) -> None:
+    assert old in MODEL
+    assert changed(made(MODEL.replace(old, new, 1))) == parts
+
+
+def test_what_does_not_act_makes_no_other_model() -> None:
+    assert changed(made(name="two")) == []
+    assert changed(made(parameters={k: PARAMETERS[k] for k in ("damping", "scale")})) == []
+    nominal = PARAMETERS["damping"] | {"nominal": 0.5}
+    assert changed(made(parameters=PARAMETERS | {"damping": nominal})) == []
+    assert changed(made().fixing({"mass": 2.5, "scale": 0.7})) == []
+    visual = '<geom type="sphere" size="0.3" mass="0" contype="0" conaffinity="0"/>'
+    seen = MODEL.replace('<body name="box" pos="0 0 0.1">', f'<body name="box" pos="0 0 0.1">{visual}')
+    assert changed(made(seen)) == []
+
+
+def test_the_same_model_has_the_same_parts_in_another_folder(tmp_path: Path) -> None:
+    for name in ("here", "there"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "model.xml").write_text(MODEL)
+        (tmp_path / name / "system.yaml").write_text(
+            "model: model.xml\nparameters: {mass: {targets: [{body: box, set: mass}]}}\n"
+            "signals: {hip: {topic: /j, joints: [hip], noise: {position: 0.01}}}\n"
+        )
+    here, there = (System.load(tmp_path / name, warn=False) for name in ("here", "there"))
+    assert here.parts == there.parts == made().parts
+
+
+def test_what_a_parameter_sets_is_in_words() -> None:
+    assert made().sets == {
+        "mass": "body_mass of box with its inertia",
+        "damping": "dof_damping of hip, knee",
+        "scale": "scale geom_friction[0] of box",
+        "delay": "command_delay",
+    }
+
+
+def test_a_fixed_parameter_is_in_the_model_and_not_in_theta() -> None:
+    whole = made()
+    system = whole.fixing({"damping": 0.7, "delay": 0.02})
+    assert system.space.names == ("mass", "scale") and system.fixed == {"damping": 0.7, "delay": 0.02}
+    full = whole.edits.apply(whole.model, np.array([3.0, 0.7, 0.5, 0.02]))
+    free = system.edits.apply(system.model, np.array([3.0, 0.5]))
+    for field in ("body_mass", "body_inertia", "dof_damping", "geom_friction", "dof_M0"):
+        np.testing.assert_array_equal(getattr(free, field), getattr(full, field))
+    late = [[0.02, 0, 0, 0, 0, 0]]
+    np.testing.assert_array_equal(system.edits.delays(np.ones((2, 2))), late * 2)
+    assert system.model.dof_damping[6] == 0.7
+    np.testing.assert_array_equal(
+        system.edits.upon(whole.model).delays(np.ones((1, 2))), [[0.02, 0, 0, 0, 0, 0]]
+    )
+
+
+def test_a_prior_without_width_fixes_a_parameter() -> None:
+    known = PARAMETERS | {"damping": PARAMETERS["damping"] | {"prior_sd": 0}}
+    system = made(parameters=known)
+    assert system.fixed == {"damping": 0.2} and "damping" not in system.space.names
+    assert system.model.dof_damping[6] == 0.2
+    with pytest.raises(ConfigError, match="every parameter has the prior_sd 0"):
+        made(parameters={"damping": known["damping"]})
+
+
+def test_only_fixes_all_others_at_their_nominal_values() -> None:
+    system = made().fixing({"mass": 1.5}, only=["dam*", "scale"])
+    assert system.space.names == ("damping", "scale") and system.fixed == {"mass": 1.5, "delay": 0.01}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"fix": {"mas": 1.0}}, "`fix`: no parameter 'mas' (did you mean 'mass'?)"),
+        ({"fix": {"mass": 99.0}}, "`fix`: mass cannot be 99.0; between 0.2 and 20 would be valid"),
+        ({"only": ["dampin"]}, "`only`: no parameter 'dampin' (did you mean 'damping'?)"),
+        ({"only": "mass"}, "`only`: give a list of names"),
+        ({"only": ["mass"], "fix": {"mass": 2.0}}, "`only`: mass is fixed too"),
+        ({"fix": {"mass": 2.0, "damping": 0.2, "scale": 1.0, "delay": 0.01}}, "every parameter is fixed"),
+    ],
+)
+def test_a_wrong_name_or_value_is_refused(arguments: dict, said: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        made().fixing(**arguments)
+    assert said in str(error.value) and "\n" not in str(error.value)
+
+
+def png(path: Path, width: int, height: int) -> Path:
+    """A black picture, a byte for each eight pixels before it is packed."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    head, rows = struct.pack(">IIBBBBB", width, height, 1, 0, 0, 0, 0), bytes((1 + (width + 7) // 8) * height)
+    parts = (b"IHDR", head), (b"IDAT", zlib.compress(rows, 1)), (b"IEND", b"")
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(chunk(kind, data) for kind, data in parts))
+    return path
+
+
+def refused(path: Path, inner: str) -> str:
+    path.write_text(f"<mujoco>{inner}<worldbody><geom size='.1'/></worldbody></mujoco>")
+    begun = time.process_time()
+    with pytest.raises(ConfigError) as error:
+        read_spec(path)
+    assert time.process_time() - begun < 5.0
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+TEXTURE = "<asset><texture name='a' type='2d' file='a.png'/></asset>"
+
+
+@pytest.mark.parametrize(
+    "inner",
+    [
+        TEXTURE,
+        "<asset><texture name='a' type='cube' fileright='a.png'/></asset>",
+        "<compiler texturedir='in'/><asset><texture name='a' type='2d' file='b.png'/></asset>",
+        "<asset><hfield name='h' file='a.png' size='1 1 1 1'/></asset>",
+    ],
+)
+def test_an_image_that_unfolds_to_too_much(inner: str, tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    for name in ("a.png", "in/b.png"):
+        png(tmp_path / name, 8000, 8000)
+    assert "64000000 pixels of its images are beyond the limit model_numbers" in refused(
+        tmp_path / "m.xml", inner
+    )
+
+
+def test_usual_images_are_read(tmp_path: Path) -> None:
+    png(tmp_path / "a.png", 64, 64)
+    (tmp_path / "m.xml").write_text(f"<mujoco>{TEXTURE}<worldbody><geom size='.1'/></worldbody></mujoco>")
+    assert compiled(read_spec(tmp_path / "m.xml")).ntex == 1
+
+
+@pytest.mark.parametrize(
+    ("inner", "name"),
+    [
+        ("<option iterations='1000000000' tolerance='0'/>", "model_iterations"),
+        ("<option iterations='10000' ls_iterations='1e4'/>", "model_iterations"),
+        ("<option noslip_iterations='2000000'/>", "model_iterations"),
+        ("<keyframe>" + "<key/>" * 90_000 + "</keyframe>", "model_elements"),
+        ("<worldbody>" + "<body><geom size='.1'/></body>" * 3_000 + "</worldbody>", "model_elements"),
+        ("<custom><numeric name='n' size='1000000000'/></custom>", "model_numbers"),
+        ("<size nuser_geom='900000'/>" + "<worldbody><geom size='.1'/></worldbody>" * 50, "model_numbers"),
+        (
+            "<asset>" + "<hfield name='h' nrow='4000' ncol='4000' size='1 1 1 1'/>" * 4 + "</asset>",
+            "model_numbers",
+        ),
+        ("<asset><mesh name='a' builtin='supersphere' params='100000 1 1'/></asset>", "model_numbers"),
+        ("<sensor><user dim='100000000'/></sensor>", "model_numbers"),
+        ("<!--" + "x" * 2**21 + "-->", "model_mib"),
+    ],
+)
+def test_a_number_that_asks_for_too_much(inner: str, name: str, tmp_path: Path) -> None:
+    with limit(model_mib=1 if name == "model_mib" else 64):
+        assert f"beyond the limit {name} = " in refused(tmp_path / "m.xml", inner)
+
+
+def test_models_that_are_attached_count_each_time(tmp_path: Path) -> None:
+    geoms = "<geom size='.1'/>" * 100
+    (tmp_path / "c.xml").write_text(f"<mujoco><worldbody><body name='x'>{geoms}</body></worldbody></mujoco>")
+    attach = "".join(f"<attach model='c' body='x' prefix='{i}'/>" for i in range(20))
+    middle = (
+        f"<asset><model name='c' file='c.xml'/></asset><worldbody><body name='x'>{attach}</body></worldbody>"
+    )
+    (tmp_path / "b.xml").write_text(f"<mujoco>{middle}</mujoco>")
+    attach = attach.replace("'c'", "'b'")
+    whole = f"<asset><model name='b' file='b.xml'/></asset><worldbody><body>{attach}</body></worldbody>"
+    assert "beyond the limit model_elements" in refused(tmp_path / "m.xml", whole)
+    assert len(read_spec(tmp_path / "b.xml").geoms) == 2000
+
+
+def test_what_only_mujoco_reads_is_refused(tmp_path: Path) -> None:
+    """Its parser takes attributes twice and entities that are none; the look before would be blind."""
+    text = refused(tmp_path / "m.xml", "<option timestep='0.01'timestep='0.02'/>")
+    assert "no well-formed XML" in text and "line 1" in text

@@ -1,13 +1,26 @@
-"""Residuals regressed on samples: what the samples' place and shape may not change, and what they must."""
+"""Linearisation, and the elimination of what each clip has for itself."""
 
 from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.engine.open import open_engine
-from amhe_cli.estimation.core.information import information
+from amhe_cli.estimation.core.information import (
+    Information,
+    clip_weights,
+    fitted_noise_scale,
+    gauss_newton_step,
+    information,
+    marginalised,
+    mean_squares,
+    noise_scale,
+    weights,
+)
 from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, linearise
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.matching.cost import MatchingCost
@@ -78,3 +91,131 @@ def test_samples_that_a_bound_cuts_short_move_no_mean(cost: MatchingCost) -> Non
     both = [about(cost, nothing, z, averaged=True) for z in (inside, at_bound)]
     free, cut = (np.abs(found.residual - found.centre).max() for found in both)
     assert cut < 2.0 * free
+
+
+def made(clips: int = 3, nuisances: int = 2, seed: int = 0) -> tuple[np.ndarray, ...]:
+    rng = np.random.default_rng(seed)
+    shapes = ((clips, 40), (clips, 3, 40), (clips, nuisances, 40), (clips, 40), (clips, nuisances))
+    residual, gz, gx, weight, mean = (rng.standard_normal(shape) for shape in shapes)
+    return residual, gz, gx, np.exp(weight), mean
+
+
+def test_marginalising_equals_the_schur_complement_of_the_joint_problem() -> None:
+    residual, gz, gx, weight, mean = made()
+    found = marginalised(residual, gz, gx, weight, mean)
+    for c in range(3):
+        both, w = np.concatenate((gz[c], gx[c])), np.diag(weight[c])
+        joint = both @ w @ both.T + np.diag([0.0] * 3 + [1.0] * 2)
+        score = both @ w @ residual[c] + np.concatenate((np.zeros(3), mean[c]))
+        covariance = np.linalg.inv(joint)
+        np.testing.assert_allclose(np.linalg.inv(found.matrix[c]), covariance[:3, :3], rtol=1e-9)
+        step = -covariance @ score
+        alone, _ = gauss_newton_step(found.matrix[c], found.score[c], np.zeros((3, 3)), np.zeros(3))
+        np.testing.assert_allclose(alone, step[:3], rtol=1e-8)
+        nuisance = found.nuisance[c] + found.nuisance_gain[c] @ alone
+        np.testing.assert_allclose(nuisance, mean[c] + step[3:], rtol=1e-8)
+        left = residual[c] + step @ both
+        slope = gz[c] + found.nuisance_gain[c].T @ gx[c]  # the nuisances moved along
+        np.testing.assert_allclose(found.residual[c] + alone @ slope, left, atol=1e-9)
+
+
+def test_without_nuisances_the_information_is_that_of_least_squares() -> None:
+    residual, gz, _, weight, _ = made(nuisances=0)
+    found = marginalised(residual, gz, np.zeros((3, 0, 40)), weight, np.zeros((3, 0)))
+    np.testing.assert_allclose(found.matrix, np.einsum("cir,cr,cjr->cij", gz, weight, gz))
+    np.testing.assert_allclose(found.score, np.einsum("cir,cr,cr->ci", gz, weight, residual))
+    np.testing.assert_array_equal(found.residual, residual)
+
+
+def test_a_clip_of_weight_zero_has_no_information() -> None:
+    residual, gz, gx, weight, mean = made()
+    weight[1] = 0.0
+    found = marginalised(residual, gz, gx, weight, mean)
+    assert not found.matrix[1].any() and not found.score[1].any()
+
+
+def test_a_prior_pulls_the_step_towards_its_mean() -> None:
+    step, hessian = gauss_newton_step(
+        np.diag([3.0, 0.0]), np.array([6.0, 0.0]), np.eye(2), np.array([2.0, 5.0])
+    )
+    assert step == pytest.approx([-2.0, -5.0])
+    np.testing.assert_array_equal(hessian, np.diag([4.0, 1.0]))
+
+
+def cost_of(clips: int, samples: int, widths: dict[str, int], trim: float = 0.0) -> Any:
+    """A cost with channels of these widths, half of whose samples were measured in the first clip."""
+    mask = np.ones((clips, samples), dtype=bool)
+    mask[0, samples // 2 :] = False
+    observed = [
+        SimpleNamespace(channel=SimpleNamespace(key=key), width=width, mask=mask)
+        for key, width in widths.items()
+    ]
+    counts = mask.sum(axis=1) * sum(widths.values())
+    settings = SimpleNamespace(trim=trim, huber=3.0)
+    return SimpleNamespace(clips=SimpleNamespace(observed=observed, counts=counts), settings=settings)
+
+
+def noisy(cost: Any, sd: dict[str, float], seed: int = 0) -> np.ndarray:
+    """Residuals with this noise, zero where nothing was measured, shape (c, R)."""
+    rng, parts = np.random.default_rng(seed), []
+    for observed in cost.clips.observed:
+        shape = (*observed.mask.shape, observed.width)
+        values = sd[observed.channel.key] * rng.standard_normal(shape) * observed.mask[..., None]
+        parts.append(values.reshape(len(values), -1))
+    return np.concatenate(parts, axis=1)
+
+
+def fitted(residual: np.ndarray, nuisance: np.ndarray) -> Information:
+    clips = len(residual)
+    found = marginalised(
+        residual, np.zeros((clips, 1, residual.shape[1])), np.zeros((clips, 0, residual.shape[1])),
+        np.ones_like(residual), np.zeros((clips, 0)),
+    )  # fmt: skip
+    kept = {name: getattr(found, name) for name in Information.__slots__}
+    return Information(**{**kept, "nuisance": nuisance})
+
+
+def test_the_noise_scale_is_the_residual_sd_over_the_declared_one() -> None:
+    cost = cost_of(6, 400, {"box.position": 3, "joints.position": 1})
+    residual = noisy(cost, {"box.position": 2.0, "joints.position": 0.5})
+    squares = mean_squares(cost, residual, np.ones(6, dtype=bool))
+    scale = noise_scale(squares, {"box.position": 3.0})
+    assert scale == pytest.approx({"box.position": 6.0, "joints.position": 0.5}, rel=0.05)
+
+
+def test_residuals_below_a_thousandth_of_the_noise_are_rounding_and_no_noise() -> None:
+    assert noise_scale({"joints.position": 1e-20}, {"joints.position": 0.1}) == {"joints.position": 1e-3}
+
+
+def test_clips_that_diverged_or_are_the_worst_do_not_count_for_the_noise() -> None:
+    cost = cost_of(10, 400, {"box.position": 3}, trim=0.1)
+    residual = noisy(cost, {"box.position": 1.0})
+    residual[4], residual[7] = 1e6, 30.0
+    completed = np.ones(10, dtype=bool)
+    completed[4] = False
+    slopes: Any = SimpleNamespace(cost=cost, completed=completed)
+    found = fitted(residual, np.zeros((10, 0)))
+    weight = clip_weights(slopes, found)
+    assert np.flatnonzero(weight == 0.0).tolist() == [4], "the trimmed one is the one that diverged"
+    cost.settings.trim = 0.2
+    assert np.flatnonzero(clip_weights(slopes, found) == 0.0).tolist() == [4, 7]
+    assert fitted_noise_scale(slopes, found, {})["box.position"] == pytest.approx(1.0, rel=0.05)
+
+
+def test_what_fitting_first_states_took_from_the_residuals_is_added_again() -> None:
+    cost = cost_of(4, 50, {"box.position": 2})
+    slopes: Any = SimpleNamespace(cost=cost, completed=np.ones(4, dtype=bool))
+    residual, nuisance = noisy(cost, {"box.position": 1.0}), np.full((4, 6), 2.0)
+    plain = fitted_noise_scale(slopes, fitted(residual, np.zeros((4, 6))), {})["box.position"]
+    scale = fitted_noise_scale(slopes, fitted(residual, nuisance), {})["box.position"]
+    assert scale**2 - plain**2 == pytest.approx(4 * 6 * 4.0 / cost.clips.counts.sum())
+
+
+def test_weights_fall_with_outliers_noise_and_autocorrelation() -> None:
+    cost = cost_of(2, 10, {"a": 1, "b": 1})
+    residual = np.zeros((2, 20))
+    plain = weights(cost, residual, (1.0, 4.0))
+    np.testing.assert_allclose(plain, np.tile([1.0] * 10 + [0.25] * 10, (2, 1)))
+    np.testing.assert_allclose(weights(cost, residual, (1.0, 4.0), (9.0, 1.0))[:, :10], 1.0 / 9.0)
+    residual[1, 3] = 300.0
+    assert weights(cost, residual, (1.0, 1.0))[1, 3] == pytest.approx(0.01, rel=1e-3)

@@ -1,23 +1,33 @@
-"""A value at its bound stops no other: the search goes where the cost is least within the bounds."""
+"""Bounds of parameters and of bodies, and residuals that are not smooth."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
 from amhe_cli.core.log import Log
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.engine.open import open_engine
-from amhe_cli.estimation.core.information import step_within
+from amhe_cli.engine.states import touching
+from amhe_cli.estimation.core.information import marginalised, step_within
 from amhe_cli.estimation.identification import IdentifyOptions, identify
+from amhe_cli.estimation.offline import problem as module
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
+from amhe_cli.estimation.uncertainty.derived import body_numbers
+from amhe_cli.report.identification import identification_record
+from amhe_cli.report.parameters import body_table
 from amhe_cli.system.system import System
+from tests.estimation.conftest import CHEAP
+from tests.estimation.test_identification import fall
+from tests.report.synthetic import identification
+from tests.report.test_identification import page
 
 #: The true armature is 0.006 kg m^2, a third below.
 LOWEST = 0.009
@@ -69,3 +79,102 @@ def test_others_follow_what_a_bound_holds(pendulum: System) -> None:
     held = step_within(np.zeros(2), step, hessian, space)
     assert held[0] == pytest.approx(space.bounds[0][0])
     assert (hessian @ (held - step))[1] == pytest.approx(0.0, abs=1e-9)
+
+
+XML = """
+<mujoco><worldbody><body name="link"><joint name="hinge" axis="0 1 0"/>
+  <inertial pos="0.1 0 0.02" mass="2" diaginertia="0.01 0.02 0.015"/><geom size="0.05" mass="0"/>
+</body></worldbody></mujoco>
+"""
+
+
+def system(**targets: object) -> System:
+    return System.from_model(
+        mujoco.MjSpec.from_string(XML),
+        parameters={"link": {"targets": [{"body": "link", "set": "pseudo_inertia"}]}} | targets,
+        signals={"hinge": {"joints": ["hinge"], "noise": {"position": 0.01}}},
+    )
+
+
+def test_the_spread_of_draws_is_that_of_first_order_propagation_where_it_is_small() -> None:
+    made, rng = system(), np.random.default_rng(3)
+    root = 1e-3 * rng.normal(size=(10, 10))
+    covariance = root @ root.T
+    found = {b.name: b for b in body_numbers(made, np.zeros(10), covariance, rng)}
+    own = {"mass": 2.0, "com_x": 0.1, "com_y": 0.0, "com_z": 0.02, "I_xx": 0.01, "I_yy": 0.02, "I_zz": 0.015}
+    assert list(found)[:4] == ["link.mass", "link.com_x", "link.com_y", "link.com_z"] and len(found) == 10
+    for label, value in own.items():
+        assert found[f"link.{label}"].estimate == pytest.approx(value)
+        assert found[f"link.{label}"].prior == pytest.approx(value)
+    step, scale = 1e-4, made.space.prior_sd
+    for label in ("mass", "com_x", "I_yy", "I_xz"):
+        (_, at), *_ = made.edits.inertias(np.concatenate((step * np.eye(10) * scale, np.zeros((1, 10)))))
+        slope = (at[label][:10] - at[label][10]) / step
+        sd = float(np.sqrt(slope @ covariance @ slope))
+        assert found[f"link.{label}"].sd == pytest.approx(sd, rel=0.1)
+        half = 0.5 * (found[f"link.{label}"].upper - found[f"link.{label}"].lower)
+        assert half == pytest.approx(1.645 * sd, rel=0.15)
+
+
+def test_a_fixed_coordinate_and_one_that_is_not_searched_have_their_values() -> None:
+    made = system().fixing({"link.alpha": 0.1})
+    made = replace(made, space=made.space.without(["link.t1"]))
+    found = {b.name: b for b in body_numbers(made, np.zeros(8), 1e-8 * np.eye(8), np.random.default_rng(0))}
+    assert found["link.mass"].estimate == pytest.approx(2.0 * np.exp(0.2))
+    assert found["link.com_x"].estimate == pytest.approx(0.1)
+
+
+@pytest.mark.medium
+def test_table_record_and_page_have_them() -> None:
+    result = replace(
+        identification(),
+        bodies=body_numbers(system(), np.zeros(10), 1e-4 * np.eye(10), np.random.default_rng(0)),
+    )
+    record = identification_record(result, {})
+    assert record["bodies"][0].keys() == {"name", "unit", "estimate", "sd", "lower", "upper", "prior"}
+    assert body_table(result.bodies).rows[0][0] == "link.mass"
+    html = page(result)
+    assert "Inertias in the axes of their bodies" in html and "link.I_xz" in html
+
+
+def problem(system: System, log: Log) -> Problem:
+    pool = ClipPool(system, [whole(log)], system.settings.clips)
+    return Problem(system, pool, open_engine(system), 0)
+
+
+def test_a_model_without_contacts_is_smooth_however_its_response_bends(monkeypatch, pendulum, swing):
+    cube = System.load("cube_toss", {**CHEAP, "clips": {"count": 4, "length": [0.1, 0.2]}})
+    monkeypatch.setattr(module, "ROUGH", -1.0)  # any response passes for bent
+    assert not problem(pendulum, swing(2.0)).rough
+    assert problem(cube, fall(cube)).rough
+
+
+def test_the_kink_of_a_command_delay_on_the_command_grid_is_no_roughness(monkeypatch, delayed, swing):
+    """At a delay of ten time steps the even response is 0.0025 of the odd one; between them it vanishes."""
+    monkeypatch.setattr(Problem, "touches", True)
+    monkeypatch.setattr(module, "ROUGH", 1e-4)
+    monkeypatch.setattr(Problem, "active", np.array([False, False, False, False, True]))
+    found = problem(delayed, swing(3.0))
+    assert not found.rough
+    monkeypatch.setattr(Problem, "_off_grid", np.zeros(5))
+    assert problem(delayed, swing(3.0)).rough, "on the grid it is"
+
+
+@pytest.mark.parametrize(("height", "touches"), [(0.5, False), (0.04, True)])
+def test_a_cube_touches_where_it_stands_and_not_in_the_air(height, touches):
+    model = System.load("cube_toss").model
+    positions = np.array([[0, 0, 0.6, 1, 0, 0, 0], [0, 0, height, 1, 0, 0, 0.0]])
+    assert touching(model, positions) == touches
+
+
+@pytest.mark.parametrize("digits", [7, 16])
+def test_first_states_are_sampled_no_finer_than_parameters(monkeypatch, pendulum, swing, digits):
+    """Beside wide samples of parameters, narrow ones of first states measure the bend of the others."""
+    monkeypatch.setattr("amhe_cli.engine.cpu.CpuEngine.precision", 10.0**-digits)
+    found = problem(pendulum, swing(2.0))
+    nx = 2
+    known = marginalised(np.zeros((1, 5)), np.zeros((1, 1, 5)), 1e9 * np.eye(5)[None, :nx], np.ones((1, 5)),
+                         np.zeros((1, nx)))  # fmt: skip
+    shape = found.first_states(known, np.zeros(1)).shape[0]
+    assert np.linalg.svd(shape, compute_uv=False).min() == pytest.approx(found.finest)
+    assert found.finest == pytest.approx({7: 10.0 ** (-7 / 3), 16: 1e-4}[digits])

@@ -1,7 +1,8 @@
-"""Protobuf messages in an MCAP file, held against google.protobuf, by the descriptors in the file alone."""
+"""Messages in JSON and Protobuf."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -25,13 +26,158 @@ from amhe_cli.logs import read_signals, survey
 from amhe_cli.logs.containers.raw import Connection, batch_of
 from amhe_cli.logs.messages.definitions import Definitions
 from amhe_cli.logs.messages.split import Splitter
-from tests.logs.test_json import SECOND_POSE
 
 DT = 0.01
 T = DT * np.arange(100)
 START_NS = 1_700_000_000_000_000_000
 Q = np.stack((np.sin(3.0 * T), np.cos(2.0 * T)), axis=1)
 TURN = np.stack((np.cos(0.5 * T), np.sin(0.5 * T)), axis=1)  # half angle about z: w, z
+
+
+def stamp(i: int) -> dict[str, int]:
+    sec, nsec = divmod(START_NS + round(1e9 * T[i]), 10**9)
+    return {"sec": sec, "nsec": nsec}
+
+
+def pose(i: int) -> dict[str, Any]:
+    turn = {"x": 0.0, "y": 0.0, "z": TURN[i, 1], "w": TURN[i, 0]}
+    return {"position": {"x": Q[i, 0], "y": Q[i, 1], "z": 0.5}, "orientation": turn}
+
+
+def write(path: Path, schema: str, message: Callable[[int], Any], topic: str = "/data") -> Path:
+    """A JSON MCAP whose recorder was 50 ms late: only the messages' own stamps are right."""
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        about = writer.register_schema(schema, "jsonschema", b"{}")
+        channel = writer.register_channel(topic, "json", about)
+        for i in range(T.size):
+            late = START_NS + round(1e9 * T[i]) + 50_000_000
+            content = message(i)
+            data = content if isinstance(content, bytes) else json.dumps(content).encode()
+            writer.add_message(channel, late, data, late)
+        writer.finish()
+    return path
+
+
+def read(path: Path, *quantities: str, **more: Any) -> Log:
+    return read_signals(path, [Signal("s", "/data", quantities, **more)], DT, LogSettings())
+
+
+JOINTS: Mapping[str, tuple[str, Callable[[int], Any]]] = {
+    "ros": (
+        "sensor_msgs/msg/JointState",
+        lambda i: {
+            "header": {"stamp": {"sec": stamp(i)["sec"], "nanosec": stamp(i)["nsec"]}, "frame_id": ""},
+            "name": ["a", "b"], "position": list(Q[i]), "velocity": [], "effort": [],
+        },
+    ),
+    "foxglove": (
+        "foxglove.JointStates",
+        lambda i: {
+            "timestamp": stamp(i),
+            "joints": [{"name": "b", "position": Q[i, 1]}, {"name": "a", "position": Q[i, 0]}],
+        },
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", sorted(JOINTS))
+def test_joint_states(kind: str, tmp_path: Path) -> None:
+    log = read(write(tmp_path / "log.mcap", *JOINTS[kind]), "position", "velocity", names=("a", "b"))
+    assert log.steps == T.size
+    assert log.start_ns == START_NS
+    np.testing.assert_allclose(log["s.position"].values, Q, atol=1e-12)
+    assert np.abs(log["s.velocity"].values[5:-5, 0] - 3.0 * np.cos(3.0 * T[5:-5])).max() < 0.01
+
+
+SECOND_POSE = {
+    "position": tuple(f"poses[1].position.{part}" for part in "xyz"),
+    "orientation": tuple(f"poses[1].orientation.{part}" for part in "wxyz"),
+}
+POSES: Mapping[str, tuple[str, Callable[[int], Any], dict[str, Any]]] = {
+    "pose in frame": ("foxglove.PoseInFrame", lambda i: {"timestamp": stamp(i), "pose": pose(i)}, {}),
+    "transform": (
+        "foxglove.FrameTransform",
+        lambda i: {
+            "timestamp": stamp(i), "parent_frame_id": "world", "child_frame_id": "box",
+            "translation": pose(i)["position"], "rotation": pose(i)["orientation"],
+        },
+        {},
+    ),
+    "transforms": (
+        "foxglove.FrameTransforms",
+        lambda i: {
+            "transforms": [
+                {
+                    "timestamp": stamp(i), "parent_frame_id": "world", "child_frame_id": name,
+                    "translation": {**pose(i)["position"], "z": height}, "rotation": pose(i)["orientation"],
+                }
+                for name, height in (("other", 9.0), ("box", 0.5))
+            ]
+        },
+        {"child_frame": "box"},
+    ),
+    "one of several poses, by its path": (
+        "foxglove.PosesInFrame",
+        lambda i: {"timestamp": stamp(i), "frame_id": "world", "poses": [pose(0), pose(i)]},
+        {"fields": SECOND_POSE},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", sorted(POSES))
+def test_poses(kind: str, tmp_path: Path) -> None:
+    schema, message, more = POSES[kind]
+    log = read(write(tmp_path / "log.mcap", schema, message), "position", "orientation", **more)
+    assert log.start_ns == START_NS
+    np.testing.assert_allclose(
+        log["s.position"].values, np.column_stack((Q, np.full(T.size, 0.5))), atol=1e-9
+    )
+    np.testing.assert_allclose(log["s.orientation"].values[:, [0, 3]], TURN, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "time",
+    ["2023-11-14T22:13:20.000000Z", "2023-11-14T22:13:20.000000", 1_700_000_000.0, 1_700_000_000_000_000_000],
+)
+def test_any_schema_by_its_paths_and_any_form_of_a_time(time: Any, tmp_path: Path) -> None:
+    def message(i: int) -> dict[str, Any]:
+        if isinstance(time, str):
+            now: Any = time.replace("20.000000", f"20.{round(1e6 * T[i]):06d}")
+        else:
+            now = time + T[i] if isinstance(time, float) else time + round(1e9 * T[i])
+        return {"timestamp": now, "motors": [{"q": Q[i, 0], "on": True}, {"q": Q[i, 1], "on": False}]}
+
+    path = write(tmp_path / "log.mcap", "my.Robot", message)
+    fields = {"position": ("motors[0].q", "motors[1].q"), "value": ("motors[1].on",)}
+    log = read(path, "position", "value", fields=fields)
+    assert abs(log.start_ns - START_NS) < 1_000
+    np.testing.assert_allclose(log["s.position"].values, Q, atol=1e-5)
+    assert not log["s.value"].values.any()
+
+
+def test_damaged_messages_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    good = JOINTS["ros"][1]
+    bad = {
+        10: b"{", 20: b"[1]", 30: b"[" * 5000, 40: b'{"a": ' * 200 + b"1" + b"}" * 200,
+        50: b'{"stamp": NaN}', 60: b'{"stamp": ' + b"9" * 400 + b"}", 70: b'{"a": ' + b"9" * 400 + b"}",
+    }  # fmt: skip
+    path = write(tmp_path / "log.mcap", JOINTS["ros"][0], lambda i: bad.get(i) or good(i))
+    log = read(path, "position", names=("a", "b"))
+    assert "7 messages damaged and dropped" in caplog.text
+    np.testing.assert_allclose(log["s.position"].values, Q, atol=1e-3)
+    (topic,) = survey(path).topics
+    assert topic.quantities == ("position",)
+    assert topic.entries == ("a", "b")
+
+
+def test_null_is_a_number_that_was_not_measured(tmp_path: Path) -> None:
+    path = write(tmp_path / "log.mcap", "own", lambda i: {"stamp": stamp(i), "q": None if i % 2 else Q[i, 0]})
+    log = read(path, "value", fields={"value": ("q",)})
+    assert log["s.value"].sampled.tolist() == [i % 2 == 0 for i in range(log.steps)]
+
+
 KIND = descriptor_pb2.FieldDescriptorProto
 
 #: Message -> its fields: name -> type, in order; '*' makes it a list, '?' optional.
@@ -75,9 +221,9 @@ def described(messages: Mapping[str, Mapping[str, str]]) -> descriptor_pb2.FileD
                 added.type, added.type_name = KIND.TYPE_MESSAGE, f".{package}.{plain}"
             else:
                 added.type = getattr(KIND, f"TYPE_{plain.upper()}")
-    stamp = descriptor_pb2.FileDescriptorProto()
-    timestamp_pb2.DESCRIPTOR.CopyToProto(stamp)
-    return descriptor_pb2.FileDescriptorSet(file=[stamp, file])
+    proto_stamp = descriptor_pb2.FileDescriptorProto()
+    timestamp_pb2.DESCRIPTOR.CopyToProto(proto_stamp)
+    return descriptor_pb2.FileDescriptorSet(file=[proto_stamp, file])
 
 
 def classes(descriptors: descriptor_pb2.FileDescriptorSet) -> Callable[[str], Any]:
@@ -91,7 +237,7 @@ SET = described(FOXGLOVE)
 CLASS = classes(SET)
 
 
-def stamp(i: int) -> dict[str, int]:
+def proto_stamp(i: int) -> dict[str, int]:
     seconds, nanos = divmod(START_NS + round(1e9 * T[i]), 10**9)
     return {"seconds": seconds, "nanos": nanos}
 
@@ -100,7 +246,7 @@ def turn(i: int) -> dict[str, float]:
     return {"z": TURN[i, 1], "w": TURN[i, 0]}
 
 
-def write(path: Path, name: str, message: Callable[[int], Any]) -> Path:
+def write_proto(path: Path, name: str, message: Callable[[int], Any]) -> Path:
     """A protobuf MCAP whose recorder was 50 ms late: only the messages' own stamps are right."""
     with path.open("wb") as file:
         writer = Writer(file)
@@ -116,24 +262,20 @@ def write(path: Path, name: str, message: Callable[[int], Any]) -> Path:
     return path
 
 
-def read(path: Path, *quantities: str, **more: Any) -> Log:
-    return read_signals(path, [Signal("s", "/data", quantities, **more)], DT, LogSettings())
-
-
 def joint_states(i: int) -> dict[str, Any]:
     joints = [{"name": "b", "position": Q[i, 1]}, {"name": "a", "position": Q[i, 0]}]
-    return {"timestamp": stamp(i), "joints": joints}
+    return {"timestamp": proto_stamp(i), "joints": joints}
 
 
-JOINTS: Mapping[str, Callable[[int], Any]] = {
+PROTO: Mapping[str, Callable[[int], Any]] = {
     "JointStates": joint_states,
-    "JointState": lambda i: {"timestamp": stamp(i), "name": ["b", "a"], "position": list(Q[i, ::-1])},
+    "JointState": lambda i: {"timestamp": proto_stamp(i), "name": ["b", "a"], "position": list(Q[i, ::-1])},
 }
 
 
-@pytest.mark.parametrize("name", sorted(JOINTS))
-def test_joint_states(name: str, tmp_path: Path) -> None:
-    path = write(tmp_path / "log.mcap", name, JOINTS[name])
+@pytest.mark.parametrize("name", sorted(PROTO))
+def test_joint_states_in_protobuf(name: str, tmp_path: Path) -> None:
+    path = write_proto(tmp_path / "log.mcap", name, PROTO[name])
     log = read(path, "position", "velocity", names=("a", "b"))
     assert (log.steps, log.start_ns) == (T.size, START_NS)
     np.testing.assert_array_equal(log["s.position"].values, Q)
@@ -146,14 +288,14 @@ def moved(i: int, name: str = "box", height: float = 0.0) -> dict[str, Any]:
     """Height 0, and x = sin(0) at first: numbers that proto3 leaves out."""
     position = {"x": Q[i, 0], "y": Q[i, 1], "z": height}
     return {
-        "timestamp": stamp(i), "child_frame_id": name, "translation": position, "rotation": turn(i)
+        "timestamp": proto_stamp(i), "child_frame_id": name, "translation": position, "rotation": turn(i)
     }  # fmt: skip
 
 
-POSES: Mapping[str, tuple[Callable[[int], Any], dict[str, Any]]] = {
+PROTO_POSES: Mapping[str, tuple[Callable[[int], Any], dict[str, Any]]] = {
     "PoseInFrame": (
         lambda i: {
-            "timestamp": stamp(i), "pose": {"position": moved(i)["translation"], "orientation": turn(i)}
+            "timestamp": proto_stamp(i), "pose": {"position": moved(i)["translation"], "orientation": turn(i)}
         },
         {},
     ),
@@ -163,7 +305,7 @@ POSES: Mapping[str, tuple[Callable[[int], Any], dict[str, Any]]] = {
     ),
     "PosesInFrame": (
         lambda i: {
-            "timestamp": stamp(i),
+            "timestamp": proto_stamp(i),
             "poses": [{}, {"position": moved(i)["translation"], "orientation": turn(i)}],
         },
         {"fields": SECOND_POSE},
@@ -171,10 +313,10 @@ POSES: Mapping[str, tuple[Callable[[int], Any], dict[str, Any]]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", sorted(POSES))
-def test_poses(name: str, tmp_path: Path) -> None:
-    message, more = POSES[name]
-    log = read(write(tmp_path / "log.mcap", name, message), "position", "orientation", **more)
+@pytest.mark.parametrize("name", sorted(PROTO_POSES))
+def test_poses_in_protobuf(name: str, tmp_path: Path) -> None:
+    message, more = PROTO_POSES[name]
+    log = read(write_proto(tmp_path / "log.mcap", name, message), "position", "orientation", **more)
     assert log.start_ns == START_NS
     np.testing.assert_array_equal(log["s.position"].values, np.column_stack((Q, np.zeros(T.size))))
     np.testing.assert_allclose(log["s.orientation"].values[:, [0, 3]], TURN, atol=1e-12)
@@ -185,7 +327,7 @@ def test_any_type_by_its_paths(tmp_path: Path) -> None:
         motors = [{"q": Q[i, 0], "ticks": -i, "on": True}, {"q": Q[i, 1], "ticks": i * i}]
         return {"timestamp": START_NS + round(1e9 * T[i]), "motors": motors, "raw": [i, -i], "mode": i}
 
-    path = write(tmp_path / "log.mcap", "Robot", robot)
+    path = write_proto(tmp_path / "log.mcap", "Robot", robot)
     fields = {
         "position": ("motors[0].q", "motors[1].q"),
         "value": ("motors[0].ticks", "motors[1].ticks", "motors[0].on", "raw[1]", "mode"),
@@ -272,11 +414,11 @@ def test_every_number_is_that_of_google_protobuf(contents: list[dict[str, Any]])
     assert splitter.damaged == 0
 
 
-def test_damaged_messages_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_damaged_protobuf_is_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     bad = {
         10: b"\x0a", 20: b"\x0a\xff\xff\xff\xff\x0f", 30: b"\xff" * 20, 40: b"\x0b\x08", 50: b"\x00\x01"
     }  # fmt: skip
-    path = write(tmp_path / "log.mcap", "JointState", lambda i: bad.get(i) or JOINTS["JointState"](i))
+    path = write_proto(tmp_path / "log.mcap", "JointState", lambda i: bad.get(i) or PROTO["JointState"](i))
     log = read(path, "position", names=("a", "b"))
     assert "5 messages damaged and dropped" in caplog.text
     np.testing.assert_allclose(log["s.position"].values, Q, atol=1e-3)
@@ -307,14 +449,14 @@ MODEL = """<mujoco><worldbody>
     ("name", "message", "entry"),
     [
         ("JointStates", joint_states, {"joints": ["a", "b"]}),
-        ("FrameTransforms", POSES["FrameTransforms"][0], {"body": "box", "child_frame": "box"}),
+        ("FrameTransforms", PROTO_POSES["FrameTransforms"][0], {"body": "box", "child_frame": "box"}),
     ],
 )
 def test_init_guesses_from_foxglove_types(
     name: str, message: Callable[[int], Any], entry: dict[str, Any], tmp_path: Path
 ) -> None:
     (tmp_path / "robot.xml").write_text(MODEL)
-    init_system(tmp_path / "robot.xml", [write(tmp_path / "log.mcap", name, message)], tmp_path / "out")
+    init_system(tmp_path / "robot.xml", [write_proto(tmp_path / "log.mcap", name, message)], tmp_path / "out")
     signals = yaml.safe_load((tmp_path / "out" / "system.yaml").read_text())["signals"]
     (signal,) = signals.values()
     assert signal["type"] == f"foxglove.{name}"
