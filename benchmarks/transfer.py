@@ -133,11 +133,8 @@ def made(
     robots = {record["robot"]: record["belief"] for record in done if "robot" in record}
     cells = [cell for cell in cells if list(cell) not in [record.get("cell") for record in done]]
     with ProcessPoolExecutor(workers) as pool:
-        missing = [plant for plant in plants if plant not in robots]
-        runs = {cell[0] for cell in cells}
-        running = {pool.submit(robot_of, plant) for plant in missing if plant in runs}
+        running = {pool.submit(robot_of, plant) for plant in plants if plant not in robots}
         running |= {pool.submit(run_cell, c, robots.get(c[0])) for c in cells if not c[3] or c[0] in robots}
-        running |= {pool.submit(robot_of, plant) for plant in missing if plant not in runs}
         waiting = [cell for cell in cells if cell[3] and cell[0] not in robots]
         while running:
             ended = next(as_completed(running))
