@@ -128,7 +128,7 @@ def conclude(
         fits=fits(problem, finding.z, validation or list(problem.clips), bool(validation)),
         interrupted=watch.interrupted,
         settled=not watch.cut_short,
-        bodies=body_numbers(system, finding.z, ledger.covariance, problem.rng(5)),
+        bodies=body_numbers(system, finding.z, ledger, problem.rng(5), misfit),
         logs=tuple(dict.fromkeys(part.log.source for part in problem.pool.parts)),
         runs=estimates(system.space, fit, each_log(problem, fit)),
         missing=missing,

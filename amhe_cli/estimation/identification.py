@@ -12,7 +12,7 @@ from typing import TypeVar
 
 from amhe_cli.core.belief import Belief
 from amhe_cli.core.each_log import named, searched
-from amhe_cli.core.errors import NOTE, ConfigError, EstimationError, LogError, one_of
+from amhe_cli.core.errors import NOTE, ConfigError, EstimationError, LogError, and_more, one_of
 from amhe_cli.core.log import Log, Window, in_order
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.engine.open import open_engine
@@ -166,8 +166,10 @@ def _warn(system: System, problem: Problem) -> None:
     """Warn of what is wrong in the logs, and of parameters that they do not depend on."""
     for wrong in () if problem.touches else mended(system, problem.pool.parts, problem.rng(8))[:1]:
         logger.warning(wrong.sentence)
-    for name, reason in problem.idle.items():
-        logger.warning(f"{name} is held at its prior: {reason}")
+    for reason in dict.fromkeys(problem.idle.values()):
+        names = [name for name, why in problem.idle.items() if why == reason]
+        are = "is held at its prior" if len(names) == 1 else "are held at their priors"
+        logger.warning(f"{and_more(names, 3)} {are}: {reason}")
 
 
 def concluded(search: Search) -> Identification:

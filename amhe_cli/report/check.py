@@ -57,7 +57,7 @@ def said_before(system: System, more: Iterable[Finding], console: Console | None
     Returns:
         The key `findings` of result.json.
     """
-    found = worst_first([*check_model(system.model), *more])
+    found = worst_first([*check_model(system.original.compile()), *more])
     if found and console:
         others = f"; `amhe check` says more of the other {len(found) - _FEW}" if len(found) > _FEW else ""
         console.print(f"first of all, {_doubts(len(found))}{others}:", soft_wrap=True)

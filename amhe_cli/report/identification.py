@@ -17,7 +17,14 @@ from amhe_cli.core.belief import Belief, belief_text
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.files import json_text, plain
 from amhe_cli.core.yaml_file import YamlFile
-from amhe_cli.estimation.core.result import HeldOut, Identification, OwnSpread, Repair, known_together
+from amhe_cli.estimation.core.result import (
+    HeldOut,
+    Identification,
+    OwnSpread,
+    ParameterResult,
+    Repair,
+    known_together,
+)
 from amhe_cli.report import numbers
 from amhe_cli.report.folder import results
 from amhe_cli.report.held_out import error_rows
@@ -31,7 +38,6 @@ from amhe_cli.report.identification_page import (
     next_steps,
 )
 from amhe_cli.report.missing import missing_record, print_missing, print_repairs, repairs_record
-from amhe_cli.report.parameters import body_table
 from amhe_cli.report.tables import NUMBER, Table, rich_table
 from amhe_cli.system.description.folders import FILE_NAME
 from amhe_cli.system.export.mjcf import identified_assets, identified_xml
@@ -73,12 +79,8 @@ def identification_record(result: Identification, truth: Mapping[str, float]) ->
             "interrupted": result.interrupted,
             "fixed": result.belief.fixed,
             "exact": result.exact,
-            "parameters": [
-                {name: getattr(p, name) for name in _PARAMETER_FIELDS}
-                | {"reasons": [asdict(reason) for reason in p.reasons]}
-                for p in result.parameters
-            ],
-            "bodies": [asdict(number) for number in result.bodies],
+            "parameters": [_line_record(p) for p in result.parameters],
+            "bodies": [_line_record(p) for p in result.bodies],
             "truth": {p.name: truth[p.name] for p in result.parameters if p.name in truth},
             "correlations": result.correlations,
             "combinations": [asdict(c) for c in result.combinations],
@@ -101,6 +103,12 @@ def identification_record(result: Identification, truth: Mapping[str, float]) ->
             "logs": result.logs,
         }
     )
+
+
+def _line_record(line: ParameterResult) -> dict[str, Any]:
+    return {name: getattr(line, name) for name in _PARAMETER_FIELDS} | {
+        "reasons": [asdict(reason) for reason in line.reasons]
+    }
 
 
 def write_identification(
@@ -172,15 +180,12 @@ def print_identification(
     """Print the parameters, the validation, and where the files are if they are written."""
     _print_parameters(result, console)
     console.print()
-    if result.bodies:
-        console.print(rich_table(body_table(result.bodies)))
-        console.print()
     if result.belief.fixed:
         console.print(f"fixed: {numbers.named(result.belief.fixed)}")
     if result.exact:
         console.print(f"taken as exact (identify.assumed): {', '.join(result.exact)}")
     for reason, names in _first_reasons(result).items():
-        console.print(f"{', '.join(names)}: {reason}", style="dim")
+        console.print(f"{numbers.some(names)}: {reason}", style="dim")
     for spread in result.spreads:
         console.print(spread_line(spread))
     for c in known_together(result)[:MAX_COMBINATIONS]:
@@ -224,7 +229,7 @@ def _print_parameters(result: Identification, console: Console) -> None:
 def _first_reasons(result: Identification) -> dict[str, list[str]]:
     """The first reason of each verdict but 'identified', and each bound that decides a value -> names."""
     found: dict[str, list[str]] = {}
-    for p in result.parameters:
+    for p in result.lines:
         if p.reasons and (p.verdict != "identified" or p.reasons[0].kind == "bound"):
             found.setdefault(p.reasons[0].text, []).append(p.name)
     return found
@@ -250,7 +255,7 @@ def parameter_table(result: Identification, *, given: bool = True) -> Table:
                 numbers.shrinkage(p.shrinkage),
                 f"{p.verdict}: given {p.given}" if p.given and given else p.verdict,
             )
-            for p in result.parameters
+            for p in result.lines
         ],
     )
 

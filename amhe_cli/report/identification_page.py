@@ -26,7 +26,7 @@ from amhe_cli.report.check import before_section
 from amhe_cli.report.held_out import better_text, held_out_section, held_out_statement
 from amhe_cli.report.missing import missing_section, repairs_section
 from amhe_cli.report.page import Section, Statement, Tone, cell, fixed_statement, result_page
-from amhe_cli.report.parameters import body_table, budget_section, parameter_sections
+from amhe_cli.report.parameters import budget_section, parameter_sections
 from amhe_cli.report.tables import NUMBER, STRONG, Table
 
 #: Clips whose fit is drawn.
@@ -123,7 +123,7 @@ def misfit_text(result: Identification) -> str:
 
 
 def _verdict_text(result: Identification) -> str:
-    total = len(result.parameters)
+    total = len(result.lines)
     if result.unexplained:
         return f"No parameter is identified: {result.unexplained[0]}"
     identified, conditional = (
@@ -148,7 +148,7 @@ def statements(result: Identification) -> list[Statement]:
         *_better(result.held_out),
         *(Statement("good", f"{text[0].upper()}{text[1:]}.") for text in result.determined[:1]),
         *(Statement("mixed", f"{text}.") for text in result.determined[1:]),
-        *_verdicts(result.parameters),
+        *_verdicts(result.lines),
         *(Statement("good", together_text(result, c)) for c in known_together(result)[:MAX_COMBINATIONS]),
         *fixed_statement(result.belief.fixed, result.exact),
         *_residuals(result),
@@ -219,11 +219,9 @@ def _sections(result: Identification, record: Mapping[str, Any], seen: Beside) -
         yield missing_section(result.missing)
     if result.repairs:
         yield repairs_section(result.repairs)
-    yield budget_section(result.parameters)
+    yield budget_section(result.lines)
     if len(result.parameters) > 1:
         yield _together_section(result)
-    if result.bodies:
-        yield Section("Inertias in the axes of their bodies", table=body_table(result.bodies), folded=True)
     if result.runs:
         yield Section(
             "Repeatability: each run alone",

@@ -10,7 +10,7 @@ import numpy as np
 from markupsafe import Markup
 
 from amhe_cli.core.statistics import Z90
-from amhe_cli.estimation.core.result import VERDICTS, BodyNumber, Identification, ParameterResult
+from amhe_cli.estimation.core.result import VERDICTS, Identification, ParameterResult
 from amhe_cli.estimation.uncertainty.ledger import KINDS, LEAST
 from amhe_cli.report import figures, numbers
 from amhe_cli.report.page import Section, cell
@@ -32,11 +32,12 @@ def parameter_sections(result: Identification, truth: Mapping[str, float]) -> It
         result: The identification.
         truth: True values that the logs contain, by name.
     """
-    common = common_reasons(result.parameters)
+    common = common_reasons(result.lines)
     meanings = Markup(" ").join(
         Markup("{} {}.").format(cell("verdict", name), text) for name, text in VERDICTS.items()
     )
-    rows = list(zip(result.parameters, result.belief.log, strict=True))
+    log = dict(zip((p.name for p in result.parameters), result.belief.log, strict=True))
+    rows = [(p, log.get(p.name, False)) for p in result.lines]
     apart = [row for row in rows if row[0].verdict == "prior"] if len(rows) > figures.MANY else []
     yield Section(
         "Parameters",
@@ -125,22 +126,6 @@ def budget_section(parameters: Sequence[ParameterResult]) -> Section:
         table=Table(head, ("name", STRONG, "", "soft", NUMBER), rows),
         folded=True,
     )
-
-
-def body_table(bodies: Sequence[BodyNumber]) -> Table:
-    """Inertias that were identified as a whole, in kg, m and kg m^2."""
-    rows = [
-        (
-            b.name,
-            numbers.with_sd(b.estimate, b.sd),
-            b.unit,
-            numbers.interval(b.lower, b.upper),
-            f"{b.prior:.3g}",
-        )
-        for b in bodies
-    ]
-    looks = ("name", STRONG, "unit", NUMBER, f"{NUMBER} soft")
-    return Table(("inertia", "estimate ± sd", "unit", "90 % interval", "prior"), looks, rows)
 
 
 #: A reason of so many parameters is said below their table, not in each row.

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from amhe_cli.api.compare import compare
 from amhe_cli.api.identify import identify
 from amhe_cli.core.errors import ConfigError, SimulationError
 from amhe_cli.core.log import Log
@@ -39,6 +40,7 @@ PARAMETERS = {
         "nominal": 1.0, "bounds": [0.8, 1.2], "prior_sd": 0.01, "scale": "linear",
     },
 }  # fmt: skip
+NO_FRICTION = {"targets": [{"set": "friction_loss", "joint": "a"}], "nominal": 1e-3, "prior_sd": 0.0}
 SIGNALS = {
     "joints": {"joints": JOINTS, "noise": {"position": 1e-4}},
     "torque": {"joint_force": JOINTS, "noise": {"effort": 0.1}},
@@ -126,6 +128,14 @@ def test_the_truth_is_found_within_its_intervals(system):
         assert set(found.found.noise_scale) == {"torque.effort of a", "torque.effort of b"}
         assert all(0.8 < scale < 1.2 for scale in found.found.noise_scale.values())
     assert len(outside) <= 0.25 * 4 * len(system.space)
+
+
+def test_models_are_compared_by_their_efforts(system):
+    theta = truth(system)
+    log, smooth = recorded(system, theta), system_of(parameters={**PARAMETERS, "friction": NO_FRICTION})
+    found = compare([system, smooth], [[log], [log]], threads=1)
+    assert found.best == 0 and "predicts better" in found.verdicts[0]
+    assert {name for name, _ in found.horizons[-1].errors} == {"torque.effort of a", "torque.effort of b"}
 
 
 def test_a_motor_s_command_counts_as_its_torque_and_no_effort_is_refused():

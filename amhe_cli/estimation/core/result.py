@@ -278,22 +278,6 @@ class ClipCount:
 
 
 @dataclass(frozen=True, slots=True)
-class BodyNumber:
-    """Mass, a coordinate of the centre of mass or of the inertia of a body, with sd and 90 % interval.
-
-    The axes are the body's; the inertia is about its centre of mass.
-    """
-
-    name: str  # such as 'payload.com_x'
-    unit: str
-    estimate: float
-    sd: float
-    lower: float
-    upper: float
-    prior: float
-
-
-@dataclass(frozen=True, slots=True)
 class RunEstimate:
     """What one log says alone.
 
@@ -430,12 +414,18 @@ class Identification:
     settled: bool = True  # False: Ctrl-C or the time limit ended the search
     logs: tuple[str, ...] = field(default=())
     spreads: tuple[OwnSpread, ...] = ()
-    bodies: tuple[BodyNumber, ...] = ()
+    bodies: tuple[ParameterResult, ...] = ()  # mass, centre and moments, in place of their coordinates
     runs: tuple[RunEstimate, ...] = ()
     missing: Missing | None = None  # None: the model misses the logs by no more than twice their noise
     information: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))  # of the logs about z, (d, d)
     determined: tuple[str, ...] = ()  # what matched efforts tell: of all, and of each joint
     repairs: tuple[Repair, ...] = ()  # in the order in which they were tried
+
+    @property
+    def lines(self) -> tuple[ParameterResult, ...]:
+        """What people read: numbers of bodies in place of the coordinates of their inertias."""
+        whole = {number.name.rpartition(".")[0] for number in self.bodies}
+        return (*(p for p in self.parameters if p.name.rpartition(".")[0] not in whole), *self.bodies)
 
 
 def known_together(result: Identification) -> list[Combination]:

@@ -182,16 +182,20 @@ def _friction(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
     yield maker.on(j, "load friction", [np.abs(j.given) * j.way], words, "speed", loaded, 0.0)
     for slow in np.sqrt((j.v**2).mean()) * np.array(_SLOW):
 
-        def rising(c: FloatArray, sd: FloatArray, slow: float = float(slow)) -> dict[str, Any]:
-            sizes = {"stribeck_friction": float(-c[0]), "stribeck_velocity": slow}
-            entries = {
-                f"{j.name}_{word}": positive(size, 0.0, {"joint": j.name, "set": word})
-                for word, size in sizes.items()
-            }
-            return entries if c[0] < 0.0 else {}
+        def changes(c: FloatArray, sd: FloatArray, slow: float = float(slow)) -> str:
+            size, way = number(abs(c[0]), sd[0]), "larger" if c[0] < 0.0 else "smaller"
+            return f"friction {way} by {size} {j.f} at rest, and as modelled well above {slow:.2g} {j.u}/s"
 
-        words = says(f"friction larger by # {j.f} below {slow:.2g} {j.u}/s", -1.0)
-        yield maker.on(j, "stribeck", [j.way * np.exp(-((j.v / slow) ** 2))], words, "speed", rising, 0.0)
+        def at_rest(c: FloatArray, sd: FloatArray, slow: float = float(slow)) -> dict[str, Any]:
+            sizes = {"stribeck_friction": signed(float(-c[0]), float(sd[0]), {}),
+                     "stribeck_velocity": positive(slow, 0.0, {})}  # fmt: skip
+            return {
+                f"{j.name}_{word}": entry | {"targets": [{"joint": j.name, "set": word}]}
+                for word, entry in sizes.items()
+            }
+
+        # as gears have it (`stribeck_exponent` 1); negative: friction that sets in gradually
+        yield maker.on(j, "stribeck", [j.way * np.exp(-np.abs(j.v / slow))], changes, "speed", at_rest)
 
 
 def _limits(maker: CauseMaker, j: MeasuredDof, forces: bool) -> Iterator[Cause]:

@@ -9,10 +9,11 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.statistics import correlation
-from amhe_cli.estimation.core.result import BodyNumber, Combination, HeldOut, SpanError
+from amhe_cli.estimation.core.result import Combination, HeldOut, ParameterResult, Reason, SpanError
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.uncertainty.fit import FinalFit
-from amhe_cli.estimation.uncertainty.verdicts import TOGETHER
+from amhe_cli.estimation.uncertainty.ledger import Ledger
+from amhe_cli.estimation.uncertainty.verdicts import TOGETHER, verdict_of
 from amhe_cli.matching.efforts import path_of
 from amhe_cli.system.model.elements import dofs_of
 from amhe_cli.system.system import System
@@ -32,28 +33,57 @@ _STEP = 1e-4
 
 
 def body_numbers(
-    system: System, z: FloatArray, covariance: FloatArray, rng: np.random.Generator
-) -> tuple[BodyNumber, ...]:
+    system: System, z: FloatArray, ledger: Ledger, rng: np.random.Generator, misfit: Sequence[str]
+) -> tuple[ParameterResult, ...]:
     """Mass, centre of mass and inertia of each body whose `pseudo_inertia` is a parameter.
 
-    Their sd and intervals are those of draws of the posterior, since they are no linear function of z.
+    The axes are the body's; the inertia is about its centre of mass. Sd and intervals are those of draws of
+    the posterior, since they are no linear function of z; verdicts and budgets are read from the ledger along
+    their slopes.
 
     Args:
         system: The system; its space is that of the search.
-        z, covariance: The estimate (d,) and its covariance (d, d).
+        z: The estimate, shape (d,).
+        ledger: Its ledger.
         rng: Source of the draws.
+        misfit: What speaks against every value, in words.
     """
     if not system.edits.bodies:
         return ()
-    draws = rng.multivariate_normal(z, covariance, _DRAWS, method="cholesky")
-    theta = np.stack([_model_values(system, one) for one in (z, np.zeros_like(z), *draws)])
+    space, count = system.space, len(z)
+    draws = rng.multivariate_normal(z, ledger.covariance, _DRAWS, method="cholesky")
+    theta = np.stack(
+        [_model_values(system, one) for one in (z, np.zeros(count), *z + _STEP * np.eye(count), *draws)]
+    )
     found = []
     for name, numbers in system.edits.inertias(theta):
+        own = [one for one in space.names if one.rpartition(".")[0] == name]
         for label, (estimate, prior, *values) in numbers.items():
-            lower, upper = np.quantile(values, (0.05, 0.95))
-            unit = "kg" if label == "mass" else "m" if label.startswith("com") else "kg m^2"
-            sd = float(np.std(values))
-            found.append(BodyNumber(f"{name}.{label}", unit, estimate, sd, float(lower), float(upper), prior))
+            near, drawn = np.split(np.array(values), [count])
+            slope, line = (near - estimate) / _STEP, f"{name}.{label}"
+            before = float(np.sqrt(slope @ space.prior_covariance @ slope))
+            known, verdict, given = ledger.mapped(slope[None] / (before or 1.0)), "prior", ""
+            if before:  # else it is fixed
+                verdict, given = verdict_of(known, 0, own, misses=bool(misfit))
+            lower, upper = np.quantile(drawn, (0.05, 0.95)).tolist()
+            found.append(
+                ParameterResult(
+                    name=line,
+                    unit="kg" if label == "mass" else "m" if label.startswith("com") else "kg m^2",
+                    estimate=estimate,
+                    prior=prior,
+                    prior_sd=before,
+                    sd=float(np.std(drawn)),
+                    lower=lower,
+                    upper=upper,
+                    bounds=(0.0 if label == "mass" else -np.inf, np.inf),
+                    shrinkage=1.0 - float(known.sd[0]) if before else 0.0,
+                    verdict=verdict,
+                    reasons=tuple(Reason("misfit", (line,), 1.0, text) for text in misfit),
+                    budget=known.budget(0),
+                    given=given,
+                )
+            )
     return tuple(found)
 
 

@@ -11,8 +11,8 @@ function that returns a `Term`, and add it to the list in `conclude._ledger`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -137,24 +137,30 @@ class Ledger:
         """Posterior sd of each z, in prior sd, shape (d,)."""
         return np.sqrt(self.covariance.diagonal())
 
+    def mapped(self, slopes: FloatArray) -> Ledger:
+        """The ledger of k numbers that are linear in the d of this one, by their slopes, shape (k, d)."""
+        return Ledger(tuple(replace(term, errors=slopes @ term.errors) for term in self.terms))
+
     def variance(self, i: int, kinds: Sequence[str]) -> float:
         """What some kinds of terms add to the variance of one parameter."""
         return float(sum((term.errors[i] ** 2).sum() for term in self.terms if term.kind in kinds))
 
     def budget(self, i: int) -> dict[str, float]:
         """Share of one parameter's variance by kind of term; kinds without any are left out."""
-        total = float(self.covariance[i, i])
+        total = float(self.covariance[i, i]) or 1.0  # of what is fixed nothing
         shares = {kind: self.variance(i, (kind,)) / total for kind in KINDS}
         return {kind: share for kind, share in shares.items() if share > 0.0}
 
-    def given(self, i: int, own: str = "", *, doubted: bool = False) -> list[tuple[float, Source]]:
+    def given(
+        self, i: int, own: Collection[str] = (), *, doubted: bool = False
+    ) -> list[tuple[float, Source]]:
         """What one parameter owes to numbers that somebody else gave, as variances, the largest first.
 
         These are the numbers of the model that are no parameters, and the priors of the other parameters.
 
         Args:
             i: The parameter.
-            own: Its name, since its own prior is no such number.
+            own: Names of parameters whose priors are its own, and no such numbers.
             doubted: Those that the logs speak against, in place of those that they leave open.
         """
         found = [pair for term in self.terms if term.kind == "assumed" for pair in term.of(i)]
@@ -163,7 +169,7 @@ class Ledger:
             for term in self.terms
             if term.kind == "prior"
             for variance, source in term.of(i)
-            if source.parameter and source.parameter != own
+            if source.parameter and source.parameter not in own
         ]
         some = ((v, s) for v, s in found if v > 0.0 and s.doubted == doubted)
         return sorted(some, key=lambda pair: -pair[0])

@@ -167,11 +167,12 @@ def held_fixed(system: System, key: str) -> list[str]:
 
 
 def _of_drives(system: System) -> list[str]:
-    """Gains, force limits and filters that no parameter sets; not of actuators that amhe added."""
+    """Gains, force limits and filters that no parameter sets; of actuators of the file that act."""
     model, held = system.unedited, []
     taken = {(cells.field, cells.row) for _, each in system.edits.by_parameter() for cells in each}
     names = {row: model.actuator(row).name for row in range(model.nactuator)}
-    rows = [row for row, name in names.items() if name and not name.startswith("amhe/")]
+    acts = model.actuator_gainprm.any(axis=1)
+    rows = [row for row, name in names.items() if acts[row] and name and not name.startswith("amhe/")]
     limited, filtered = (np.flatnonzero(x) for x in (model.actuator_forcelimited, model.actuator_dyntype))
     for what, cells in (
         ("gain", [cell for row in rows for cell in gain_cells(model, row)[:1]]),

@@ -11,7 +11,7 @@ prior            the logs hardly narrow it down
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -85,7 +85,10 @@ def _parameter(space: ParameterSpace, evidence: Evidence, i: int) -> ParameterRe
     estimate = float(space.theta_of(evidence.z)[i])
     low, high = interval(space, evidence.z, sd, i)
     moved = evidence.z + np.eye(len(space))[i] * evidence.doubled_prior[i]
-    verdict = _verdict(space, evidence, i)
+    verdict, given = "prior", ""
+    if evidence.active[i]:
+        misses = bool(evidence.misfit or evidence.blamed.get(p.name))
+        verdict, given = verdict_of(evidence.ledger, i, (p.name,), misses=misses)
     return ParameterResult(
         name=p.name,
         unit=p.unit,
@@ -101,34 +104,40 @@ def _parameter(space: ParameterSpace, evidence: Evidence, i: int) -> ParameterRe
         reasons=tuple(_reasons(space, evidence, i)),
         budget=evidence.ledger.budget(i),
         doubled_prior=float(space.theta_of(space.clip(moved))[i]) - estimate,
-        given=_given(evidence.ledger.given(i, p.name)[0][1]) if verdict == "conditional" else "",
+        given=given,
         profile=evidence.profiles.get(i),
     )
 
 
-def _verdict(space: ParameterSpace, evidence: Evidence, i: int) -> str:
-    ledger, total = evidence.ledger, float(evidence.ledger.covariance[i, i])
-    given = sum(variance for variance, _ in ledger.given(i, space.names[i]))
+def verdict_of(ledger: Ledger, i: int, own: Collection[str], *, misses: bool) -> tuple[str, str]:
+    """The verdict on one number of a ledger that the logs depend on, and what a conditional one rests on.
+
+    Args:
+        ledger: The ledger; its numbers are in prior sd.
+        i: The number.
+        own: Parameters whose priors are its own.
+        misses: Whether the model misses the logs.
+    """
+    total, rests = float(ledger.covariance[i, i]), ledger.given(i, own)
+    given = sum(variance for variance, _ in rests)
     contradictions = ledger.variance(i, CONTRADICTIONS)
-    contradictions += sum(variance for variance, _ in ledger.given(i, space.names[i], doubted=True))
+    contradictions += sum(variance for variance, _ in ledger.given(i, own, doubted=True))
     more = DOUBT**2 - 1.0  # of a variance whose sd is so many times as large
 
     def shrinkage(variance: float) -> float:
         return 1.0 - float(np.sqrt(max(variance, 0.0)))
 
-    if not evidence.active[i]:
-        return "prior"
-    best = shrinkage(total - max(given, contradictions))
-    if evidence.misfit or evidence.blamed.get(space.names[i]):
-        return "model-sensitive" if best >= NOTHING else "prior"
+    if misses:
+        best = shrinkage(total - max(given, contradictions))
+        return "model-sensitive" if best >= NOTHING else "prior", ""
     if shrinkage(total + more * (given + contradictions)) >= DETERMINED:
-        return "identified"
+        return "identified", ""
     if shrinkage(total - given + more * contradictions) >= DETERMINED:
-        return "conditional"
+        return "conditional", _given(rests[0][1])
     if shrinkage(total - contradictions) >= DETERMINED:
-        return "model-sensitive"
+        return "model-sensitive", ""
     # two solutions are two values, not none
-    return "weak" if shrinkage(total - ledger.variance(i, ("minimum",))) >= NOTHING else "prior"
+    return "weak" if shrinkage(total - ledger.variance(i, ("minimum",))) >= NOTHING else "prior", ""
 
 
 def _reasons(space: ParameterSpace, evidence: Evidence, i: int) -> list[Reason]:
@@ -141,7 +150,7 @@ def _reasons(space: ParameterSpace, evidence: Evidence, i: int) -> list[Reason]:
         found.append(Reason("misfit", (name,), 1.0, text))
     total, terms = float(evidence.ledger.covariance[i, i]), []
     ledger = evidence.ledger
-    for variance, source in (*ledger.given(i), *ledger.given(i, space.names[i], doubted=True)):
+    for variance, source in (*ledger.given(i), *ledger.given(i, (name,), doubted=True)):
         if variance > COUNTS * total:
             kind = "prior" if source.parameter else "assumed"
             terms.append(Reason(kind, (name,), variance / total, _rests(space, i, variance, source)))

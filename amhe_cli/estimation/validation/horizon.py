@@ -141,7 +141,10 @@ def _columns(cost: MatchingCost, observed: Observed) -> Iterator[tuple[str, str,
     if channel.kind == "rotation" or (channel.unit == "m" and width == 3):
         yield "", channel.unit, list(range(width))
         return
-    names = cost.clips.windows[0].log[channel.key].columns
+    names = cost.clips.windows[0].log[channel.series].columns
+    if channel.part is not None:
+        yield "", channel.unit, [0]
+        return
     if channel.source != "qpos":
         for i, name in enumerate(names):
             yield (str(name) if width > 1 else ""), channel.unit, [i]

@@ -21,8 +21,8 @@ from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.uncertainty.derived import body_numbers
-from amhe_cli.report.identification import identification_record
-from amhe_cli.report.parameters import body_table
+from amhe_cli.estimation.uncertainty.ledger import Ledger, term_of
+from amhe_cli.report.identification import identification_record, parameter_table
 from amhe_cli.system.system import System
 from tests.estimation.conftest import CHEAP
 from tests.estimation.test_identification import fall
@@ -96,11 +96,27 @@ def system(**targets: object) -> System:
     )
 
 
+def noise(covariance: np.ndarray) -> Ledger:
+    """A ledger of noise alone."""
+    return Ledger((term_of("noise", covariance),))
+
+
+def test_numbers_of_a_body_have_verdicts_as_parameters_have() -> None:
+    made, rng = system(), np.random.default_rng(3)
+    known = np.diag(np.r_[1e-6, np.ones(9)])  # the mass's coordinate, and nothing else
+    found = {b.name: b for b in body_numbers(made, np.zeros(10), noise(known), rng, ())}
+    assert found["link.mass"].verdict == "identified" and found["link.mass"].budget == {"noise": 1.0}
+    assert found["link.com_x"].verdict == "prior" and found["link.com_x"].shrinkage == pytest.approx(0.0)
+    missed = {b.name: b for b in body_numbers(made, np.zeros(10), noise(known), rng, ("it misses",))}
+    assert missed["link.mass"].verdict == "model-sensitive"
+    assert [reason.text for reason in missed["link.mass"].reasons] == ["it misses"]
+
+
 def test_the_spread_of_draws_is_that_of_first_order_propagation_where_it_is_small() -> None:
     made, rng = system(), np.random.default_rng(3)
     root = 1e-3 * rng.normal(size=(10, 10))
     covariance = root @ root.T
-    found = {b.name: b for b in body_numbers(made, np.zeros(10), covariance, rng)}
+    found = {b.name: b for b in body_numbers(made, np.zeros(10), noise(covariance), rng, ())}
     own = {"mass": 2.0, "com_x": 0.1, "com_y": 0.0, "com_z": 0.02, "I_xx": 0.01, "I_yy": 0.02, "I_zz": 0.015}
     assert list(found)[:4] == ["link.mass", "link.com_x", "link.com_y", "link.com_z"] and len(found) == 10
     for label, value in own.items():
@@ -119,7 +135,9 @@ def test_the_spread_of_draws_is_that_of_first_order_propagation_where_it_is_smal
 def test_a_fixed_coordinate_and_one_that_is_not_searched_have_their_values() -> None:
     made = system().fixing({"link.alpha": 0.1})
     made = replace(made, space=made.space.without(["link.t1"]))
-    found = {b.name: b for b in body_numbers(made, np.zeros(8), 1e-8 * np.eye(8), np.random.default_rng(0))}
+    rng, known = np.random.default_rng(0), noise(1e-8 * np.eye(8))
+    found = {b.name: b for b in body_numbers(made, np.zeros(8), known, rng, ())}
+    assert (found["link.mass"].verdict, found["link.mass"].shrinkage) == ("prior", 0.0)
     assert found["link.mass"].estimate == pytest.approx(2.0 * np.exp(0.2))
     assert found["link.com_x"].estimate == pytest.approx(0.1)
 
@@ -128,13 +146,12 @@ def test_a_fixed_coordinate_and_one_that_is_not_searched_have_their_values() -> 
 def test_table_record_and_page_have_them() -> None:
     result = replace(
         identification(),
-        bodies=body_numbers(system(), np.zeros(10), 1e-4 * np.eye(10), np.random.default_rng(0)),
+        bodies=body_numbers(system(), np.zeros(10), noise(1e-4 * np.eye(10)), np.random.default_rng(0), ()),
     )
     record = identification_record(result, {})
-    assert record["bodies"][0].keys() == {"name", "unit", "estimate", "sd", "lower", "upper", "prior"}
-    assert body_table(result.bodies).rows[0][0] == "link.mass"
-    html = page(result)
-    assert "Inertias in the axes of their bodies" in html and "link.I_xz" in html
+    assert record["bodies"][0].keys() == record["parameters"][0].keys()
+    assert "link.mass" in [row[0] for row in parameter_table(result).rows]
+    assert "link.I_xz" in page(result)
 
 
 def problem(system: System, log: Log) -> Problem:
