@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+import json
 import logging
 import tempfile
 import time
@@ -194,12 +195,15 @@ def trial(seed: int, robot: str, seconds: float) -> dict[str, Any]:
         for line in found.lines
         if line.verdict == "contradicted" and line.parameter not in wrong
     ]
-    return {
+    result = {
+        "robot": robot,
         "wrong": {n: [v, float(drawn[n]), said[n].log, said[n].sd] for n, v in wrong.items()},
         "told": told, "hit": hit, "false": false, "cpu_seconds": spent, "numbers": len(found.lines),
         "missed": list(found.found.unexplained),
         "right": [line.t for name, line in said.items() if name not in wrong and line.sd < abs(line.file)],
     }  # fmt: skip
+    print(json.dumps({key: value for key, value in result.items() if key != "right"}), flush=True)
+    return result
 
 
 def save(path: Path, names: list[str], table: FloatArray) -> None:

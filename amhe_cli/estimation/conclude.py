@@ -65,6 +65,8 @@ def conclude(
     validation: list[Window],
     watch: Watch,
     model: ParameterSpace,
+    *,
+    quick: bool = False,
 ) -> Identification:
     """All results of a finished, or interrupted, search.
 
@@ -76,6 +78,7 @@ def conclude(
             fitted first states, the comparison of the logs' halves, what rests on assumed values, a second
             minimum, profiles. After an interruption there is for none.
         model: Parameters of the model, with their prior; logs may have values of their own of some.
+        quick: Halves of the logs have no searches of their own.
     """
     system = problem.system
     watch.enter("covariance")
@@ -85,7 +88,7 @@ def conclude(
         logger.log(NOTE, text)
     held_out, misfit = _judged(problem, finding, fit, validation, watch)
     missing = _missing(problem, finding, fit, watch)
-    ledger, exact = _ledger(problem, finding, fit, rival, watch)
+    ledger, exact = _ledger(problem, finding, fit, rival, watch, quick)
     drawn = _profiles(problem, fit, ledger.sd, watch)
     lines = with_common_means(system.space, model, finding.z, ledger)
     space, covariance = lines.space, lines.ledger.covariance
@@ -262,7 +265,7 @@ def _predictions(problem: Problem, validation: Sequence[Window]) -> int:
 
 
 def _ledger(
-    problem: Problem, finding: Finding, fit: FinalFit, rival: Rival | None, watch: Watch
+    problem: Problem, finding: Finding, fit: FinalFit, rival: Rival | None, watch: Watch, quick: bool
 ) -> tuple[Ledger, tuple[str, ...]]:
     """All terms of the estimate's error, and what the settings take as exact.
 
@@ -273,8 +276,8 @@ def _ledger(
     found.append(terms.declared(space, fit, problem.settings.identify.model_error))
     if watch.allows("covariance from wider samples", once):
         found.append(terms.curvature(fit, doubled_step(problem, finding, fit)))
-    with_halves = watch.allows("comparison of the logs' halves", (REFITS + TURNS) * once)
-    found.append(parts(problem, finding, fit, with_halves=with_halves))
+    with_halves = watch.allows("comparison of the logs' halves", 0 if quick else (REFITS + TURNS) * once)
+    found.append(parts(problem, finding, fit, with_halves=with_halves, refitted=not quick))
     report_drift(space, found[-1], fit.posterior.sd)
     exact = ()
     if watch.allows("what rests on assumed values", once):

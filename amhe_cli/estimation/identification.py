@@ -138,7 +138,8 @@ def searched_for(
     """The search of `identify`, whose arguments it takes, without the conclusion.
 
     `quick`: do not warn of parameters that the logs do not depend on. `near`: begin where a search for the
-    same parameters under other priors has ended, and not at the prior's mean. `clips`: fit only so many.
+    same parameters under other priors has ended, and not at the prior's mean. `clips`: fit, and hold out,
+    only so many.
     """
     if options.method not in METHODS:
         raise ConfigError(f"`method`: {one_of('method', options.method, METHODS)}")
@@ -151,6 +152,7 @@ def searched_for(
     problem, validation = _pose(system, training, held_out, options)
     if clips is not None:
         problem = replace(problem, only=tuple(evenly(problem.clips, clips)))
+        validation = evenly(validation, clips)
     if not quick:
         _warn(system, problem)
     watch.keep(RESERVE * problem.linearisation)
@@ -172,15 +174,16 @@ def _warn(system: System, problem: Problem) -> None:
         logger.warning(f"{and_more(names, 3)} {are}: {reason}")
 
 
-def concluded(search: Search) -> Identification:
-    """What a search found, and how sure that is."""
+def concluded(search: Search, *, quick: bool = False) -> Identification:
+    """What a search found, and how sure that is; `quick` as of `conclude`."""
     problem, watch = search.problem, search.watch
+    given = problem, search.finding, search.fit, search.validation, watch, search.model
     try:
-        return conclude(problem, search.finding, search.fit, search.validation, watch, search.model)
+        return conclude(*given, quick=quick)
     except KeyboardInterrupt:
         logger.warning("interrupted while the result was examined: its checks are not complete")
         watch.interrupted = True
-        return conclude(problem, search.finding, search.fit, search.validation, watch, search.model)
+        return conclude(*given, quick=quick)
 
 
 def _pose(

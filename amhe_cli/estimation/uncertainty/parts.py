@@ -48,18 +48,22 @@ DRIFTS, LISTED = 0.5, 3
 Parts = Mapping[str, Posterior]
 
 
-def parts(problem: Problem, finding: Finding, fit: FinalFit, *, with_halves: bool) -> Term:
+def parts(
+    problem: Problem, finding: Finding, fit: FinalFit, *, with_halves: bool, refitted: bool = True
+) -> Term:
     """Covariance between parts of the data beyond chance.
 
     Args:
         problem: The problem that was searched.
         finding: Where its search ended.
         fit: The linearisation there.
-        with_halves: Search each half of the logs by itself, too, which takes some rollouts.
+        with_halves: Compare the halves of the logs, too.
+        refitted: Each half has a search of its own, which takes some rollouts; else the linearisation speaks
+            for it, too.
     """
     sides = each_log(problem, fit) or _later_logs(problem, fit)
     compared = [_kinds(fit), sides]
-    if with_halves and (halves := _halves(problem, finding)):
+    if with_halves and (halves := _halves(problem, finding, None if refitted else fit)):
         compared.append(halves)
     errors, sources = [], []
     for alone in compared:
@@ -146,8 +150,8 @@ def _later_logs(problem: Problem, fit: FinalFit) -> Parts:
     return {"the earlier logs": _alone(fit, side=~late), "the later logs": _alone(fit, side=late)}
 
 
-def _halves(problem: Problem, finding: Finding) -> Parts:
-    """The first and the second half of each log's fitted clips, each with a search of its own.
+def _halves(problem: Problem, finding: Finding, joint: FinalFit | None) -> Parts:
+    """The first and the second half of each log's fitted clips, by a joint fit, or a search of its own.
 
     Where halves differ much, the misfit of their compromise looks like noise, and would hide that they do. So
     would first states fitted to it: each is searched from the recorded ones.
@@ -155,6 +159,8 @@ def _halves(problem: Problem, finding: Finding) -> Parts:
     late = _second_half(problem)
     if min(late.sum(), (~late).sum()) < FEWEST_CLIPS:
         return {}
+    if joint is not None:
+        return {name: _alone(joint, side=side) for name, side in zip(HALVES, (~late, late), strict=True)}
     straight = finding.shape if isinstance(finding, SearchState) and finding.straight else None
     found = {}
     for name, rows in zip(HALVES, (np.flatnonzero(~late), np.flatnonzero(late)), strict=True):
