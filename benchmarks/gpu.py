@@ -1,6 +1,7 @@
 """Matching cost on graphics cards: agreement with the CPU engine, and steps a second against worlds.
 
     python benchmarks/gpu.py [--rollouts 1024,4096,8192,32768] [--problems go1_push,arm] [--device cuda:0]
+    python benchmarks/gpu.py --fits gpu,auto [--problems arm,tosses,feet]   # whole commands, beside the cpu's
 
 "bare" replays the captured step of mujoco-warp on the same worlds under the same inputs, with a clock,
 and nothing else. The CPU beside it evaluates the same cost of fewer candidates with all cores. Steps that a
@@ -12,7 +13,7 @@ from __future__ import annotations
 import argparse
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import mujoco
@@ -21,9 +22,10 @@ import warp as wp
 from common import PROJECT, multisine, show, simulated
 from matching_cost import cube_toss, pendulum
 
+import amhe_cli as amhe
 from amhe_cli.core.log import Log
-from amhe_cli.engine.gpu.blueprint import bytes_per_world
-from amhe_cli.engine.gpu.card import Card
+from amhe_cli.core.rotations import exp, multiply
+from amhe_cli.engine.gpu.card import Card, bytes_per_world
 from amhe_cli.engine.gpu.engine import GpuEngine
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine
@@ -81,11 +83,52 @@ def arm() -> tuple[System, list[Log]]:
     return system, [simulated(system, system.space.nominal, command, 20.0, rng, state_hz=400.0)]
 
 
+def feet() -> tuple[System, list[Log]]:
+    """A plate that slides on 60 sphere feet: more rows of constraints than buffers begin with."""
+    spec = mujoco.MjSpec()
+    spec.option.timestep = 0.002
+    spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5, 5, 0.1])
+    body = spec.worldbody.add_body(name="plate", pos=[0, 0, 0.02])
+    body.add_freejoint(name="free")
+    for i, (x, y) in enumerate(np.stack(np.meshgrid(np.arange(10), np.arange(6)), axis=-1).reshape(-1, 2)):
+        body.add_geom(
+            name=f"foot{i}", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.02, 0, 0], mass=0.05,
+            pos=[0.05 * (x - 4.5), 0.05 * (y - 2.5), 0.0],
+        )  # fmt: skip
+        spec.add_pair(name=f"pair{i}", geomname1="floor", geomname2=f"foot{i}", friction=[0.4, 0.4, 0, 0, 0])
+    pairs = [{"pair": f"pair{i}", "set": "sliding_friction"} for i in range(60)]
+    noise = {"position": 0.001, "orientation": 0.005}
+    system = System.from_model(
+        spec,
+        parameters={"friction": {"nominal": 0.4, "targets": pairs}},
+        signals={"plate": {"body": "plate", "noise": noise, "slope": {"linear_velocity": 0.05}}},
+        name="feet",
+        warn=False,
+    )
+    model = system.edits.apply(system.model, np.array([0.35]))
+    logs = []
+    for seed in range(4):
+        rng, data = np.random.default_rng(seed), mujoco.MjData(model)
+        data.qpos[2], data.qvel[:2], data.qvel[5] = 0.02, rng.normal(0.0, 0.7, 2), rng.normal(0.0, 2.0)
+        states = np.empty((400, 7))
+        for k in range(len(states)):
+            states[k] = data.qpos
+            mujoco.mj_step(model, data)
+        states[:, :3] += rng.normal(0.0, noise["position"], (len(states), 3))
+        turns = exp(rng.normal(0.0, noise["orientation"], (len(states), 3)))
+        states[:, 3:] = multiply(states[:, 3:], turns)
+        time = spec.option.timestep * np.arange(len(states))
+        arrays = {"time": time, "position": states[:, :3], "orientation": states[:, 3:]}
+        logs.append(Log.from_arrays({"plate": arrays}, system))
+    return system, logs
+
+
 PROBLEMS: dict[str, Callable[[], tuple[System, list[Log]]]] = {
     "pendulum": pendulum,
     "cube_toss": cube_toss,
     "go1_push": go1_push,
     "arm": arm,
+    "feet": feet,
 }
 
 
@@ -216,6 +259,25 @@ def iteration(name: str, cores: int) -> list[str]:
     return [name, *(f"{card:.2f} s" for card in cards), f"{host:.1f} s", f"{host / min(cards):.1f}x"]
 
 
+def fits(name: str, kinds: Sequence[str], cores: int) -> Iterator[list[str]]:
+    """Whole identifications, estimates and verdicts beside those of the processor."""
+    system, logs = PROBLEMS[name]()
+    space, expected = system.space, None
+    for kind in ("cpu", *kinds):
+        start = time.perf_counter()
+        result = amhe.identify(system, logs, seed=0, threads=cores, engine=kind)
+        seconds = time.perf_counter() - start
+        expected = expected or result
+        sd = np.sqrt(np.diag(np.array(expected.belief.covariance))) / space.prior_sd
+        apart = np.abs(space.z_of(result.belief.estimate) - space.z_of(expected.belief.estimate)) / sd
+        pairs = list(zip(expected.parameters.values(), result.parameters.values(), strict=True))
+        others = [f"{a.name}: {a.verdict} -> {b.verdict}" for a, b in pairs if a.verdict != b.verdict]
+        yield [
+            name, kind, f"{seconds:.1f} s", f"{apart.max():.2f}",
+            f"{len(pairs) - len(others)} of {len(pairs)}", "; ".join(others),
+        ]  # fmt: skip
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--rollouts", default="1024,4096,8192,32768")
@@ -224,12 +286,23 @@ def main() -> None:
     parser.add_argument("--cores", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--no-agreement", action="store_true")
     parser.add_argument("--iteration", help="problems of which to time one iteration of the search instead")
+    parser.add_argument("--fits", help="engines by which to identify each problem instead, beside the cpu's")
     asked = parser.parse_args()
     if asked.iteration:
         lines = [iteration(name, asked.cores) for name in asked.iteration.split(",")]
         show("One iteration, 4096 candidates on 8 clips", ("system", "gpu", "auto", "cores", "faster"), lines)
         return
     names = asked.problems.split(",")
+    if asked.fits:
+        lines = []
+        for name in names:
+            for line in fits(name, asked.fits.split(","), asked.cores):
+                print(*lines.append(line) or line, flush=True)
+        show(
+            "Identifications, beside those of the CPU",
+            ("system", "engine", "time", "farthest estimate [sd]", "verdicts alike", "others"), lines,
+        )  # fmt: skip
+        return
     if not asked.no_agreement:
         show(
             "Agreement of the engines, 64 candidates about the nominal",

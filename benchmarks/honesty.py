@@ -21,12 +21,14 @@ import re
 import time
 from collections import Counter
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from common import over_seeds, seeds_of, show
 from plants import PROBLEMS
 
 import amhe_cli as amhe
+from amhe_cli.engine.open import KINDS as ENGINES
 
 OUTSIDE_GOAL, IDENTIFIED_GOAL, COVERAGE_GOAL = 0.12, 0.90, (0.86, 0.94)
 KINDS = (TWIN, EXACT, WRONG) = ("twin", "exact", "wrong")
@@ -47,12 +49,12 @@ def case_of(number: int) -> tuple[str, str, int, Any]:
     return name, kind, seed, made.exact() if kind == EXACT else made
 
 
-def trial(number: int) -> dict[str, Any]:
+def trial(number: int, *, engine: str = "cpu") -> dict[str, Any]:
     """Identify one log, as a user would."""
     logging.disable(logging.WARNING)
     name, kind, seed, made = case_of(number)
     began = time.process_time()
-    result = amhe.identify(made.system, made.logs, seed=seed, threads=1)
+    result = amhe.identify(made.system, made.logs, seed=seed, threads=1, engine=engine)
     return {
         "problem": name,
         "kind": kind,
@@ -106,6 +108,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=seeds_of, default=range(20), metavar="N or A:B")
     parser.add_argument("--problems", default=",".join(NAMES), help="names, with commas between")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
+    parser.add_argument("--engine", choices=ENGINES, default="cpu", help="all processes share a card")
     parser.add_argument("--quick", action="store_true", help="one seed")
     given = parser.parse_args()
     problems = given.problems.split(",")
@@ -117,7 +120,7 @@ def main() -> None:
         for name in problems
         for kind in KINDS
     ]
-    done = over_seeds("honesty", trial, numbers, given.jobs)
+    done = over_seeds("honesty", partial(trial, engine=given.engine), numbers, given.jobs, given.engine)
     lines = []
     for kind in KINDS:
         lines += [row(n, kind, [t for t in done if (t["problem"], t["kind"]) == (n, kind)]) for n in problems]

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import copy
 import logging
+import os
+from collections.abc import Iterator
 from concurrent.futures import Executor, Future
+from contextlib import contextmanager
 from functools import cache
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -14,15 +16,15 @@ import numpy as np
 from amhe_cli.core.errors import NOTE, ConfigError, SimulationError
 from amhe_cli.engine.auto import AutoEngine, Opening, in_background
 from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.engine.gpu.engine import GpuEngine
+from amhe_cli.engine.gpu.shared import ADDRESS, sharing
+from amhe_cli.engine.gpu.visible import visible_cards
 from amhe_cli.engine.inverse import InverseEngine
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.engine.spread import SpreadEngine
 from amhe_cli.engine.states import collides
 from amhe_cli.system.parameters.model_edits import ModelEdits
 from amhe_cli.system.system import System
-
-if TYPE_CHECKING:
-    from amhe_cli.engine.gpu.engine import GpuEngine
 
 logger = logging.getLogger(__name__)
 
@@ -108,10 +110,9 @@ def _gpu_engine(
         raise ConfigError("the engine 'gpu' computes on the cards of this computer; leave `workers` out")
     cards = _cards()
     try:
-        from amhe_cli.engine.gpu.engine import GpuEngine
+        return GpuEngine(model, edits, input_spec, sensors, cards)
     except ImportError as error:
         raise _missing(error) from None
-    return GpuEngine(model, edits, input_spec, sensors, cards)
 
 
 def _loaded(engine: GpuEngine) -> Engine:
@@ -121,16 +122,27 @@ def _loaded(engine: GpuEngine) -> Engine:
 
 
 def _cards() -> list[str]:
-    """Warp's names of the cards of this computer; mujoco-warp takes seconds to load, and is not needed.
+    """Warp's names of the cards of this computer, or the address of the process that has them.
 
     Raises:
-        SimulationError: Warp or a card is missing.
+        SimulationError: There is no card.
     """
-    try:
-        from amhe_cli.engine.gpu import visible_cards
-    except ImportError as error:
-        raise _missing(error) from None
-    return visible_cards()
+    shared = os.environ.get(ADDRESS)
+    return [shared] if shared else visible_cards()
+
+
+@contextmanager
+def shared_cards(kind: str) -> Iterator[None]:
+    """Processes that are started inside share the cards of this computer, if their engine is 'gpu' or 'auto'.
+
+    Raises:
+        SimulationError: There is none, or a library is missing.
+    """
+    if kind == "cpu":
+        yield
+        return
+    with sharing(_cards()):
+        yield
 
 
 def _missing(error: ImportError) -> SimulationError:

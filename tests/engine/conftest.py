@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from functools import partial
@@ -10,8 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
+import numpy as np
 import pytest
 
+from amhe_cli.core.arrays import to_host
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.system.system import System
@@ -55,6 +58,13 @@ def on_warp(
     edits = system.edits if model is None else system.edits.upon(model)
     senses = system.senses if sensors is None else sensors
     return GpuEngine(model or system.model, edits, system.input_spec, senses, [device])
+
+
+def asked(arguments: tuple[Any, ...]) -> np.ndarray:
+    """What a process of its own predicts of the pendulum on shared cards: it does not load mujoco-warp."""
+    values = open_engine(System.load("pendulum"), kind="gpu").predict(*arguments).values[0]
+    assert "mujoco_warp" not in sys.modules
+    return to_host(values)
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

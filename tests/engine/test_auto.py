@@ -156,8 +156,8 @@ def test_a_call_that_the_cards_refuse_goes_to_the_processor_and_so_do_all_others
 
 def test_mujoco_warp_is_loaded_when_a_call_is_worth_it(monkeypatch, caplog) -> None:
     """It takes seconds; here it cannot be loaded at all."""
-    monkeypatch.setattr("amhe_cli.engine.gpu.visible_cards", lambda: ["cuda:0"])
-    monkeypatch.setitem(sys.modules, "amhe_cli.engine.gpu.engine", None)
+    monkeypatch.setattr("amhe_cli.engine.open.visible_cards", lambda: ["cuda:0"])
+    monkeypatch.setitem(sys.modules, "amhe_cli.engine.gpu.card", None)
     monkeypatch.setattr("amhe_cli.engine.auto.START", 0.0)
     caplog.set_level(NOTE, "amhe_cli")
     engine = auto()

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -17,18 +19,20 @@ from amhe_cli.core.arrays import to_host
 from amhe_cli.core.errors import SimulationError
 from amhe_cli.engine.auto import FEWEST, StepCost
 from amhe_cli.engine.gpu import card
-from amhe_cli.engine.gpu import engine as gpu
+from amhe_cli.engine.gpu import engine as engine_module
 from amhe_cli.engine.gpu.blueprint import Room
 from amhe_cli.engine.gpu.card import Card
 from amhe_cli.engine.gpu.engine import GpuEngine
+from amhe_cli.engine.gpu.job import joined, queues
 from amhe_cli.engine.gpu.worlds import Worlds
-from amhe_cli.engine.open import open_engine
+from amhe_cli.engine.open import open_engine, shared_cards
 from amhe_cli.engine.rollout import Starts, Wanted
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.uncertainty.fit import final_fit
 from amhe_cli.system.system import System
+from tests.engine.conftest import asked
 from tests.engine.test_contract import clips
 
 pytestmark = pytest.mark.slow  # warp compiles its kernels, which takes half a minute the first time
@@ -87,7 +91,7 @@ def test_clips_in_one_queue_are_those_of_worlds_of_their_own(
     found = []
     each = np.arange(5)
     for dealt in (each[:, None], each[None, :]):
-        monkeypatch.setattr(gpu, "queues", lambda *arguments, dealt=dealt: dealt)
+        monkeypatch.setattr(engine_module, "queues", lambda *arguments, dealt=dealt: dealt)
         found.append(engine.predict(theta, starts, None, wanted))
     apart, queued = found
     assert queued.completed.tolist() == apart.completed.tolist() == 3 * [[True, True, True, False, True]]
@@ -99,27 +103,64 @@ def test_clips_in_one_queue_are_those_of_worlds_of_their_own(
 def test_queues_take_the_least_time() -> None:
     lengths, each, many = np.array([50, 10, 30, 20]), np.arange(4)[:, None], FEWEST
     free, dear = StepCost(True, 1, 1.0, 1.0, 0.0), StepCost(True, 1, 1.0, 0.0, 1.0)
-    assert sorted(gpu.queues(lengths, many, free).tolist()) == each.tolist(), "worlds cost nothing"
-    assert sorted(gpu.queues(lengths, many, dear)[0].tolist()) == [0, 1, 2, 3], (
-        "steps of a world, and no wait"
-    )
+    assert sorted(queues(lengths, many, free).tolist()) == each.tolist(), "worlds cost nothing"
+    assert sorted(queues(lengths, many, dear)[0].tolist()) == [0, 1, 2, 3], "steps of a world, and no wait"
     between = StepCost(True, 1, 1.0, 2.0, 1.0 / many)
-    assert gpu.queues(lengths, many, between).tolist() == [[0, 1], [2, 3]]
-    assert gpu.queues(lengths[:3], many, between).tolist() == [[0, -1], [2, 1]]
+    assert queues(lengths, many, between).tolist() == [[0, 1], [2, 3]]
+    assert queues(lengths[:3], many, between).tolist() == [[0, -1], [2, 1]]
 
 
 def test_no_clip_waits_to_save_worlds_that_a_card_steps_anyway() -> None:
     lengths, dear = np.array([50, 10, 30, 20]), StepCost(True, 1, 1.0, 0.0, 1.0)
     few = FEWEST // 4
-    assert len(gpu.queues(lengths, few, dear)) == 4, "all at once"
-    assert gpu.queues(lengths[:3], few, dear).tolist() == [[0, -1], [2, 1]], "no longer than the longest"
+    assert len(queues(lengths, few, dear)) == 4, "all at once"
+    assert queues(lengths[:3], few, dear).tolist() == [[0, -1], [2, 1]], "no longer than the longest"
 
 
 def test_several_cards_share_a_prediction(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gpu, "LEAST", 4)
+    monkeypatch.setattr(engine_module, "LEAST", 4)
     arguments = call(PENDULUM)
     (one,), (three,) = (on(PENDULUM, *n * ["cpu"]).predict(*arguments).values for n in (1, 3))
     np.testing.assert_array_equal(to_host(three), to_host(one))
+
+
+def reaching(system: System, history: int, seed: int) -> tuple[Any, ...]:
+    """A prediction whose inputs reach back, of as many candidates, clips, steps and samples as seed says."""
+    theta, starts, errors, wanted = call(system, 2 + seed, 1 + seed)
+    inputs = np.random.default_rng(seed).normal(size=(1 + seed, history + 20 + seed, system.model.nu))
+    starts.lengths[0] -= seed
+    rows = np.minimum(wanted[0].rows[:, : 6 - seed], starts.lengths[:, None] - 1)
+    return theta, replace(starts, inputs=inputs, history=history), errors, [replace(wanted[0], rows=rows)]
+
+
+@pytest.mark.parametrize("system", [PENDULUM, CUBE], ids=["pendulum", "cube"])
+def test_jobs_of_several_that_ask_are_one_with_the_numbers_of_each(system: System) -> None:
+    engine = on(system)
+    delayed = [engine.job(*reaching(system, history, seed)) for history, seed in ((2, 0), (0, 1), (5, 3))]
+    jobs = [replace(job, delays=job.delays + 0.3 * i) for i, job in enumerate(delayed)]
+    together, at = engine.cards[0].run(joined(jobs)), 0
+    for job in jobs:
+        alone = engine.cards[0].run(job)
+        rows, samples = slice(at, at + len(job.clip)), job.wanted[0].rows.shape[1]
+        at = rows.stop
+        np.testing.assert_array_equal(together.values[0][rows, :samples], alone.values[0])
+        assert together.completed[rows].all()
+
+
+def test_processes_share_the_cards_of_another_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    arguments = call(PENDULUM)
+    alone = on(PENDULUM).predict(*arguments)
+    monkeypatch.setattr("amhe_cli.engine.open.visible_cards", lambda: ["cpu"])
+    with shared_cards("gpu"), ProcessPoolExecutor(3, get_context("spawn")) as executor:
+        for found in executor.map(asked, 3 * [arguments]):
+            np.testing.assert_array_equal(found, alone.values[0])
+        spec = mujoco.MjSpec.from_file(str(PENDULUM.folder / "scene.xml"))  # type: ignore[operator]
+        solver(spec)
+        with pytest.raises(SimulationError, match="cannot simulate this model: .*PGS"):
+            open_engine(PENDULUM, kind="gpu", model=spec.compile())
+        engine = open_engine(PENDULUM, kind="gpu")
+    with pytest.raises(SimulationError, match="the process that has the graphics cards has ended"):
+        engine.predict(*arguments)
 
 
 def test_buffers_that_are_too_small_are_made_larger(
@@ -226,7 +267,7 @@ def test_variants_begin_with_the_buffers_that_proved_large_enough() -> None:
 def test_without_a_card_the_command_says_so_in_one_line(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("warp.get_cuda_devices", list)
+    monkeypatch.setattr("amhe_cli.engine.gpu.visible._counted", lambda: 0)
     log = Path(__file__).parents[2] / "examples" / "logs" / "pendulum.mcap"
     assert run(["identify", str(log), "--engine", "gpu", "-o", str(tmp_path / "out")]) == 1
     *_, line = capsys.readouterr().err.strip().splitlines()  # the first may be warp's own, of the driver

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
+from typing import Any
 
+import mujoco_warp as mjw
 import warp as wp
 
 from amhe_cli.core.errors import SimulationError
 from amhe_cli.engine.auto import FEWEST
-from amhe_cli.engine.gpu.blueprint import Blueprint, Room, bytes_per_world, first_room
-from amhe_cli.engine.gpu.worlds import Job, Worlds
+from amhe_cli.engine.gpu.blueprint import Blueprint, Room, first_room
+from amhe_cli.engine.gpu.job import Job, NoRoomError
+from amhe_cli.engine.gpu.worlds import Worlds
 from amhe_cli.engine.rollout import Predicted
 
 logger = logging.getLogger(__name__)
+wp.config.log_level = wp.LOG_WARNING  # it prints a line for each kernel otherwise
 
 #: Share of a card's memory, and of what others leave free of it, that a set of worlds and its records take.
 MEMORY_SHARE, FREE_SHARE = 0.25, 0.5
@@ -25,10 +29,6 @@ DOUBLINGS = 10
 KEPT = 3
 #: Rollouts at once on warp's own processor device, which is for tests.
 WITHOUT_CARD = 4096
-
-
-class NoRoomError(SimulationError):
-    """The card has too little free memory; fewer rollouts at once need less."""
 
 
 @contextmanager
@@ -64,10 +64,16 @@ class Card:
     Args:
         blueprint: What all worlds share.
         device: Warp's name of the device.
+        coarse: Few sizes of worlds, for jobs of any size: a graph of a new size takes as long as a job.
+
+    Raises:
+        SimulationError: mujoco-warp cannot simulate the model.
     """
 
-    def __init__(self, blueprint: Blueprint, device: str) -> None:
-        self.blueprint, self._device = blueprint, device
+    def __init__(self, blueprint: Blueprint, device: str, *, coarse: bool = False) -> None:
+        self.blueprint, self._device, self._sizes = blueprint, device, 2 if coarse else 6
+        with refusals():
+            _check_supported(blueprint, device)
         #: Buffers of a world; they grow.
         self.room = first_room(blueprint.model)
         #: Part of the share of memory that is asked for, less where it was refused.
@@ -105,6 +111,15 @@ class Card:
             self.clear()
         return Predicted(tuple(values), completed)
 
+    def follow(self, other: Card) -> None:
+        """Begin with what has proved right upon another model of this layout."""
+        self.part, self.room = other.part, other.room
+
+    def load(self) -> None:
+        """Load the kernels, and those that were never compiled for this model compile."""
+        with refusals():
+            self.worlds(1)
+
     def clear(self) -> None:
         """Give the worlds' memory back."""
         self._kept.clear()
@@ -128,7 +143,7 @@ class Card:
         Up to some thousand worlds a step takes as long as that of one.
         """
         least = FEWEST if self.memory else 16
-        grain = max(least, 2 ** (max(count - 1, 1).bit_length() - 6))
+        grain = max(least, 2 ** (max(count - 1, 1).bit_length() - self._sizes))
         size = -(-count // grain) * grain
         worlds = self._kept.pop(size, None)
         if worlds is None:
@@ -137,3 +152,43 @@ class Card:
             worlds = Worlds(self.blueprint, size, self.room, self._device)
         self._kept[size] = worlds  # the last used is the last to go
         return worlds
+
+
+def _check_supported(blueprint: Blueprint, device: str) -> None:
+    """Refuse a model that mujoco-warp cannot simulate, before any work is done.
+
+    Raises:
+        SimulationError: It cannot; the text says what it lacks.
+    """
+    try:
+        with wp.ScopedDevice(device):
+            mjw.put_model(blueprint.model)
+    except (NotImplementedError, ValueError) as error:
+        lacks = str(error).rstrip(".")
+        raise SimulationError(
+            f"mujoco-warp cannot simulate this model: {lacks}; take the engine 'cpu'"
+        ) from None
+    if not blueprint.starts_at_rest():
+        raise SimulationError("filters and slews of actuators start at rest on a card; take the engine 'cpu'")
+
+
+def bytes_per_world(blueprint: Blueprint, room: Room, device: str) -> int:
+    """Memory of one world [bytes]: how much two more take than one."""
+    with wp.ScopedDevice(device):
+        sizes = [
+            _bytes(mjw.make_data(blueprint.model, count, room.contacts, njmax=room.rows)) for count in (1, 3)
+        ]
+        own = mjw.put_model(blueprint.model)
+    model: Mapping[str, Any] = vars(own)
+    return (sizes[1] - sizes[0]) // 2 + sum(model[name].capacity for name in blueprint.own)
+
+
+def _bytes(owner: Any) -> int:
+    """Memory of all arrays of an object."""
+    total = 0
+    for value in vars(owner).values():
+        if isinstance(value, wp.array):
+            total += value.capacity
+        elif hasattr(value, "__dict__"):
+            total += _bytes(value)
+    return total

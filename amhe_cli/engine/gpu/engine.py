@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from heapq import heapreplace
+from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from amhe_cli.core.arrays import AnyArray, FloatArray, IntArray, to_host
-from amhe_cli.engine.auto import StepCost, step_cost
-from amhe_cli.engine.gpu.blueprint import Blueprint, check_supported
-from amhe_cli.engine.gpu.card import Card, NoRoomError, refusals
-from amhe_cli.engine.gpu.worlds import Job
+from amhe_cli.engine.auto import step_cost
+from amhe_cli.engine.gpu.blueprint import Blueprint
+from amhe_cli.engine.gpu.job import Job, NoRoomError, queues
+from amhe_cli.engine.gpu.shared import SharedCard
 from amhe_cli.engine.rollout import (
     Call,
     Predicted,
@@ -41,7 +42,8 @@ class GpuEngine:
         edits: How parameters are written into it.
         input_spec: mjtState bits of the input vector.
         sensors: Whether rollouts record sensors.
-        devices: Warp's names of the devices; 'cpu' is for tests.
+        devices: Warp's names of the devices, of which 'cpu' is for tests, or the address of a process that
+            has them (`shared.sharing`).
 
     Raises:
         SimulationError: mujoco-warp cannot simulate the model.
@@ -57,10 +59,9 @@ class GpuEngine:
         sensors: bool,
         devices: Sequence[str],
     ) -> None:
-        self._blueprint, self._devices = Blueprint(model, edits, input_spec, sensors), tuple(devices)
-        with refusals():
-            check_supported(self._blueprint, self._devices[0])
-        self.cards = [Card(self._blueprint, device) for device in self._devices]
+        self._model, self._edits, self._devices = model, edits, tuple(devices)
+        self._blueprint = Blueprint.of(model, edits, input_spec, sensors)
+        self.cards = [_card(self._blueprint, device) for device in self._devices]
 
     @property
     def device_bytes(self) -> int:
@@ -69,22 +70,32 @@ class GpuEngine:
 
     def load(self) -> None:
         """Load the kernels, and those that were never compiled for this model compile."""
-        with refusals():
-            self.cards[0].worlds(1)
+        self.cards[0].load()
 
     def rollout(
         self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray, lengths: IntArray
     ) -> Rollouts:
         """See `Engine.rollout`."""
-        model, (count, horizon, _) = self._blueprint.model, inputs.shape
+        model, (count, horizon, _) = self._model, inputs.shape
         theta = np.broadcast_to(theta, (count, theta.shape[-1]))
         qpos, qvel = np.broadcast_to(qpos, (count, model.nq)), np.broadcast_to(qvel, (count, model.nv))
         each, rows = np.arange(count), np.tile(np.arange(horizon), (count, 1))
-        starts = Starts(qpos, qvel, inputs, 0, lengths, each[:0], qpos[:, :0])
         wanted = [Wanted("qpos", rows, tuple(range(model.nq))), Wanted("qvel", rows, tuple(range(model.nv)))]
         if self._blueprint.sensors:
             wanted.append(Wanted("sensordata", rows, tuple(range(model.nsensordata))))
-        job = Job(theta, starts, each, each, each[:, None], qpos, qvel, np.zeros((count, 1)), wanted)
+        job = Job(
+            fields=self._written(theta),
+            delays=np.zeros((count, 1)),
+            inputs=inputs.astype(np.float32),
+            history=0,
+            lengths=lengths,
+            candidate=each,
+            clip=each,
+            queue=each[:, None],
+            qpos=qpos,
+            qvel=qvel,
+            wanted=wanted,
+        )
         predicted = self.cards[0].run(job)
         values = [to_host(part) for part in predicted.values]
         return Rollouts(
@@ -120,11 +131,10 @@ class GpuEngine:
     def upon(self, model: mujoco.MjModel, edits: ModelEdits | None = None) -> GpuEngine:
         """See `Engine.upon`."""
         about = self._blueprint
-        edits = edits or about.edits.upon(model)
+        edits = edits or self._edits.upon(model)
         engine = GpuEngine(model, edits, about.input_spec, about.sensors, self._devices)
-        for card, card_before in zip(engine.cards, self.cards, strict=True):
-            card.part = card_before.part
-            card.room = card_before.room  # of one layout: what was too small once need not be tried again
+        for card, before in zip(engine.cards, self.cards, strict=True):
+            card.follow(before)  # of one layout: what was too small once need not be tried again
         return engine
 
     def _dealt(self, calls: Sequence[Call]) -> list[Predicted]:
@@ -144,49 +154,39 @@ class GpuEngine:
         self, theta: FloatArray, starts: Starts, errors: FloatArray | None, wanted: Sequence[Wanted]
     ) -> Job:
         """All rollouts of a prediction, in the order (candidates, clips)."""
-        model, count, clips = self._blueprint.model, len(theta), len(starts.lengths)
+        model, count, clips = self._model, len(theta), len(starts.lengths)
         qpos, qvel = starts.states(model, count, errors)
         each = queues(starts.lengths, count, step_cost(model))
         queue = np.where(each < 0, -1, clips * np.arange(count)[:, None, None] + each)
         return Job(
-            theta=theta,
-            starts=starts,
+            fields=self._written(theta),
+            delays=self._edits.delays(theta) / model.opt.timestep,
+            inputs=starts.inputs.astype(np.float32),
+            history=starts.history,
+            lengths=starts.lengths,
             candidate=np.repeat(np.arange(count), clips),
             clip=np.tile(np.arange(clips), count),
             queue=queue.reshape(-1, each.shape[1]),
             qpos=qpos.reshape(-1, model.nq),
             qvel=qvel.reshape(-1, model.nv),
-            delays=self._blueprint.edits.delays(theta) / model.opt.timestep,
             wanted=wanted,
         )
 
+    def _written(self, theta: FloatArray) -> dict[str, FloatArray]:
+        """The fields of the model under candidates (p, d)."""
+        names = self._blueprint.set_by_jobs
+        arrays = {name: np.repeat(getattr(self._model, name)[None], len(theta), axis=0) for name in names}
+        self._edits.write(arrays, theta)
+        return arrays
 
-def queues(lengths: IntArray, count: int, cost: StepCost) -> IntArray:
-    """Which clips the worlds of each candidate roll out, one after the other, -1 where there is no more.
 
-    All worlds step until the longest queue is done. With one clip each, most of them would wait for the
-    longest clip; with several, there are fewer worlds, of which a step takes longer for each.
+def _card(blueprint: Blueprint, device: str) -> Any:
+    """A card of this process, or those of another one that its address leads to."""
+    if Path(device).is_absolute():
+        return SharedCard(blueprint, device)
+    from amhe_cli.engine.gpu.card import Card  # which takes seconds to load
 
-    Args:
-        lengths: Steps of c clips, shape (c,).
-        count: Number of candidates.
-        cost: What a step takes.
-
-    Returns:
-        Clips of m worlds, shape (m, l): the least m of the least time.
-    """
-    clips, best, least = len(lengths), [], np.inf
-    for worlds in dict.fromkeys(-(-clips // each) for each in range(1, clips + 1)):
-        free = [(0, world) for world in range(worlds)]
-        dealt: list[list[int]] = [[] for _ in free]
-        for clip in np.argsort(-lengths, kind="stable"):  # the longest first, to the world that is free first
-            end, world = free[0]
-            dealt[world].append(int(clip))
-            heapreplace(free, (end + int(lengths[clip]), world))
-        if (time := max(free)[0] * cost.on_card(count * worlds)) <= least:
-            best, least = dealt, time
-    longest = max(map(len, best))
-    return np.array([row + (longest - len(row)) * [-1] for row in best])
+    return Card(blueprint, device)
 
 
 def _in_order(results: Predicted, count: int) -> Predicted:

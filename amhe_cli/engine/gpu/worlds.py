@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -17,8 +17,8 @@ import warp as wp
 from amhe_cli.core.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from amhe_cli.engine.gpu import kernels
 from amhe_cli.engine.gpu.blueprint import Blueprint, Room
-from amhe_cli.engine.rollout import Starts, Wanted
-from amhe_cli.system.parameters.gear_friction import OF_GEARS, UPDATE
+from amhe_cli.engine.gpu.job import Job
+from amhe_cli.system.parameters.gear_friction import UPDATE
 
 #: Blocks of the input vector, in the order of mjtState: bit, array of mjw.Data.
 INPUTS = (
@@ -30,43 +30,6 @@ INPUTS = (
 )
 #: Held while a job is prepared: graphs are captured, and warp's default device is one for all threads.
 PREPARING = Lock()
-
-
-@dataclass(frozen=True, eq=False)
-class Job:
-    """n rollouts, each of one candidate on one clip.
-
-    Args:
-        theta: Parameters of p candidates in SI units, shape (p, d).
-        starts: Inputs and lengths of c clips.
-        candidate, clip: Candidate and clip of each rollout, shape (n,).
-        queue: Rollouts of each world, one after the other and all of one candidate; -1 where there is none,
-            but the first. Shape (w, l).
-        qpos, qvel: First states, shape (n, nq) and (n, nv).
-        delays: Delays of each candidate's inputs [steps], shape (p, nu), or (p, 1) where all are alike.
-        wanted: The numbers to pick.
-    """
-
-    theta: FloatArray
-    starts: Starts
-    candidate: IntArray
-    clip: IntArray
-    queue: IntArray
-    qpos: FloatArray
-    qvel: FloatArray
-    delays: FloatArray
-    wanted: Sequence[Wanted]
-
-    @property
-    def lag(self) -> int:
-        """Steps after a clip's last that its samples need: sensors describe the state before a step."""
-        return int(any(wanted.source == "sensordata" for wanted in self.wanted))
-
-    @property
-    def ends(self) -> IntArray:
-        """Steps after which each rollout of the queues is over, shape (w, l)."""
-        steps = np.where(self.queue < 0, 0, (self.starts.lengths + self.lag)[self.clip[self.queue]])
-        return steps.cumsum(axis=1)
 
 
 def captured(device: Any, launches: Callable[[], None]) -> Callable[[], None]:
@@ -139,8 +102,8 @@ class Worlds:
         self._blueprint, self._device = blueprint, wp.get_device(device)
         self._xp = _namespace(self._device)
         with PREPARING, wp.ScopedDevice(self._device):
-            model = mjw.put_model(blueprint.nominal, batch_sizes=dict.fromkeys(blueprint.own, count))
-            data = mjw.make_data(blueprint.nominal, nworld=count, nconmax=room.contacts, njmax=room.rows)
+            model = mjw.put_model(blueprint.model, batch_sizes=dict.fromkeys(blueprint.own, count))
+            data = mjw.make_data(blueprint.model, nworld=count, nconmax=room.contacts, njmax=room.rows)
             model.opt.warn_overflow = 0
             # contacts in a fixed order cost nothing; sums in a fixed order cost forty times the step
             model.opt.deterministic = mjw.DeterminismType.CONTACTS | mjw.DeterminismType.CONSTRAINT
@@ -155,10 +118,10 @@ class Worlds:
                 self._forces = captured(self._device, lambda: _forces(model, data))
             if blueprint.servos is not None:
                 self._of_servos = wp.zeros((count, *blueprint.servos.at.shape), dtype=float)
-            if blueprint.edits.needs_set_const:
+            if blueprint.derives:
                 self._derive = captured(self._device, lambda: mjw.set_const(model, data, restore=False))
         self._model, self._data = model, data
-        self._written = (np.empty((0, 0)), np.empty(0))
+        self._written: tuple[Mapping[str, FloatArray], IntArray] = ({}, np.empty(0, dtype=np.int64))
 
     def run(self, job: Job) -> tuple[list[AnyArray], BoolArray, bool]:
         """Roll out a job of at most `count` queues.
@@ -182,7 +145,7 @@ class Worlds:
         """Write the parameters; the launches of a job."""
         queue = job.queue[np.minimum(np.arange(self.count), len(job.queue) - 1)]  # the last fills the rest
         candidate = job.candidate[queue[:, 0]]
-        self._write(job.theta, candidate)
+        self._write(job.fields, candidate)
         self._place.fill_(-1)
         good = np.all(np.abs(np.hstack((job.qpos, job.qvel))) < 1e10, axis=1)
         completed, full = (self._array(flags, np.int32) for flags in (good, np.zeros(len(good))))
@@ -191,7 +154,7 @@ class Worlds:
             self._array(np.where(good[:, None], values, home), np.float32)
             for values, home in ((job.qpos, self._blueprint.model.qpos0), (job.qvel, 0.0))
         )
-        lengths, data = job.starts.lengths, self._data
+        lengths, data = job.lengths, self._data
         begin = [
             self._recorded(
                 kernels.take_next,
@@ -222,18 +185,16 @@ class Worlds:
 
     def _inputs(self, job: Job, candidate: IntArray, progress: Sequence[Any]) -> list[_Launch]:
         """Launches that write the inputs of a step."""
-        if not job.starts.inputs.shape[2]:
+        if not job.inputs.shape[2]:
             return []
-        whole, fraction = np.divmod(
-            np.broadcast_to(job.delays, (len(job.delays), job.starts.inputs.shape[2])), 1.0
-        )
+        whole, fraction = np.divmod(np.broadcast_to(job.delays, (len(job.delays), job.inputs.shape[2])), 1.0)
         shared = (
             *progress,
-            self._array(job.starts.inputs[:, : job.starts.history + job.starts.lengths.max()], np.float32),
+            self._array(job.inputs[:, : job.history + job.lengths.max()], np.float32),
             self._array(candidate, np.int32),
             self._array(whole, np.int32),
             self._array(fraction, np.float32),
-            job.starts.history,
+            job.history,
         )
         launches, first = [], 0
         for bit, name in INPUTS:
@@ -293,7 +254,7 @@ class Worlds:
 
     def _records(self, job: Job, into: list[AnyArray], progress: Sequence[Any]) -> list[_Launch]:
         """Launches that pick the wanted numbers after a step, of the worlds that have a queue."""
-        steps = int(job.starts.lengths.max())
+        steps = int(job.lengths.max())
         return [
             self._recorded(
                 kernels.record,
@@ -311,17 +272,14 @@ class Worlds:
             if values.size
         ]
 
-    def _write(self, theta: FloatArray, candidate: IntArray) -> None:
+    def _write(self, fields: Mapping[str, FloatArray], candidate: IntArray) -> None:
         """Write each world's candidate, unless the worlds hold them already."""
-        if all(map(np.array_equal, self._written, (theta, candidate))):
+        before, whose = self._written
+        if np.array_equal(whose, candidate) and all(np.array_equal(before[n], fields[n]) for n in fields):
             return
-        edits, model = self._blueprint.edits, self._blueprint.model
+        rows, arrays = self._xp.asarray(candidate), dict(fields)
         gear, servos = self._blueprint.gear, self._blueprint.servos
-        fields = {*edits.fields, *(() if gear is None else OF_GEARS), "numeric_data"}
-        arrays = {name: np.repeat(getattr(model, name)[None], len(theta), axis=0) for name in fields}
-        edits.write(arrays, theta)
-        rows = self._xp.asarray(candidate)
-        numbers = arrays.pop("numeric_data")
+        numbers = arrays.pop("numeric_data", np.empty(0))
         if servos is not None:
             self._view(self._of_servos)[:] = self._up(numbers[:, servos.at])[rows]
         if gear is not None:
@@ -330,9 +288,9 @@ class Worlds:
         for name, values in arrays.items():
             into = self._view(getattr(self._model, name))
             into[:] = self._up(values)[rows].reshape(into.shape)
-        if edits.needs_set_const:
+        if self._blueprint.derives:
             self._derive()
-        self._written = theta.copy(), candidate.copy()
+        self._written = fields, candidate.copy()
 
     @contextmanager
     def stream(self) -> Iterator[None]:
