@@ -380,7 +380,7 @@ def main() -> None:
         return show_long(given.minutes, over_seeds(name, one, seeds, given.jobs))
     name = f"actuators-{given.seconds:g}s-{'exact' if given.noise_free else 'noisy'}"
     ours = f"{name}-any-step" if given.any_step else name
-    one = functools.partial(trial, given.seconds, noise, float(given.any_step), engine=given.engine)
+    one = functools.partial(trial, given.seconds, noise, float(given.any_step))
     began = time.perf_counter()
     results = over_seeds(ours, one, seeds, given.jobs, given.engine)
     print(f"{len(seeds)} problems on {given.jobs} processes: {time.perf_counter() - began:.1f} s")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import multiprocessing
@@ -222,7 +223,7 @@ def over_seeds(
         one: Module-level function of a seed; its result must go into JSON.
         seeds: Which.
         processes: Worker processes, each of one thread.
-        engine: Kind of engine that `one` opens; where it is on a card, all processes share that.
+        engine: Kind of engine, which `one` takes by this name if not 'cpu'; all processes share a card.
     """
     wanted = list(seeds)
     path = RESULTS / f"{name}{'' if engine == 'cpu' else f'-{engine}'}-{fingerprint()}.jsonl"
@@ -231,7 +232,8 @@ def over_seeds(
     if path.exists():
         done = {r["seed"]: r for r in map(json.loads, path.read_text().splitlines())}
     left = [seed for seed in wanted if seed not in done]
-    with shared_cards(engine), path.open("a") as file, multiprocessing.Pool(processes) as pool:
+    with shared_cards(engine) as kind, path.open("a") as file, multiprocessing.Pool(processes) as pool:
+        one = one if engine == "cpu" else functools.partial(one, engine=kind)
         for result in pool.imap_unordered(_Seeded(one), left):
             done[result["seed"]] = result
             file.write(json.dumps(result) + "\n")

@@ -21,7 +21,6 @@ import re
 import time
 from collections import Counter
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 from common import over_seeds, seeds_of, show
@@ -120,7 +119,7 @@ def main() -> None:
         for name in problems
         for kind in KINDS
     ]
-    done = over_seeds("honesty", partial(trial, engine=given.engine), numbers, given.jobs, given.engine)
+    done = over_seeds("honesty", trial, numbers, given.jobs, given.engine)
     lines = []
     for kind in KINDS:
         lines += [row(n, kind, [t for t in done if (t["problem"], t["kind"]) == (n, kind)]) for n in problems]

@@ -315,7 +315,7 @@ def main() -> None:
     seeds, drawn = range(5) if given.quick else given.seeds, {}
     for case in given.case:
         name = f"sbc-{case}" + ("-assumed" if given.assumed else "")
-        one = functools.partial(trial, case, given.assumed, engine=given.engine)
+        one = functools.partial(trial, case, given.assumed)
         done = over_seeds(name, one, seeds, given.jobs, given.engine)
         drawn[case] = [r for r in done if "failed" not in r]
         for failed in (r for r in done if "failed" in r):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import logging
-import os
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager
@@ -17,7 +16,7 @@ from amhe_cli.core.errors import NOTE, ConfigError, SimulationError
 from amhe_cli.engine.auto import AutoEngine, Opening, in_background
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.gpu.engine import GpuEngine
-from amhe_cli.engine.gpu.shared import ADDRESS, sharing
+from amhe_cli.engine.gpu.shared import sharing
 from amhe_cli.engine.gpu.visible import visible_cards
 from amhe_cli.engine.inverse import InverseEngine
 from amhe_cli.engine.rollout import Engine
@@ -48,7 +47,8 @@ def open_engine(
         threads: Number of CPU threads; results do not depend on it.
         executor: Executor whose workers compute the rollouts, instead of threads of this process; it must
             stay open.
-        kind: One of `KINDS`; 'auto' decides for each call, by its rollouts and their lengths.
+        kind: One of `KINDS`; 'auto' decides for each call, by its rollouts and their lengths. Or what
+            `shared_cards` gives.
         sensors: Whether rollouts record sensors; None: if the system needs them.
         model: Roll out this model of the same layout; None: the system's own.
 
@@ -57,27 +57,28 @@ def open_engine(
         SimulationError: This computer has no card or lacks its libraries, or the model does not suit.
     """
     check_kind(kind)
+    kind, _, address = kind.partition("@")
     senses = system.senses if sensors is None else sensors
     edits = system.edits if model is None else system.edits.upon(model)
     about = (model or system.model, edits, system.input_spec)
     if system.match == "effort":
         return InverseEngine(*about)
     if kind == "gpu":
-        return _gpu_engine(executor, *about, senses)
+        return _gpu_engine(address, executor, *about, senses)
     if executor is not None:
         return SpreadEngine(executor, *about, senses)
     cpu = CpuEngine(*about, threads, senses)
     if kind == "cpu":
         return cpu
     try:
-        cards = _cards()
+        cards = [address] if address else visible_cards()
     except SimulationError as error:
         logger.log(NOTE, "the CPU computes all rollouts: %s", str(error).partition(";")[0])
         return cpu
 
     @cache
     def begin() -> Future[Engine]:
-        return in_background(lambda: _loaded(_gpu_engine(None, *about, senses)))
+        return in_background(lambda: _loaded(_gpu_engine(address, None, *about, senses)))
 
     engine = AutoEngine(cpu, Opening(begin), lambda: begin().result(), about[0], threads)
     logger.log(
@@ -93,12 +94,17 @@ def check_kind(kind: str) -> None:
     Raises:
         ConfigError: There is no such kind of engine; the text lists all.
     """
-    if kind not in KINDS:
+    if kind.partition("@")[0] not in KINDS:
         raise ConfigError(f"no engine {kind!r}; there is: {', '.join(KINDS)}")
 
 
 def _gpu_engine(
-    executor: Executor | None, model: mujoco.MjModel, edits: ModelEdits, input_spec: int, sensors: bool
+    address: str,
+    executor: Executor | None,
+    model: mujoco.MjModel,
+    edits: ModelEdits,
+    input_spec: int,
+    sensors: bool,
 ) -> GpuEngine:
     """The engine on all cards of this computer.
 
@@ -108,7 +114,7 @@ def _gpu_engine(
     """
     if executor is not None:
         raise ConfigError("the engine 'gpu' computes on the cards of this computer; leave `workers` out")
-    cards = _cards()
+    cards = [address] if address else visible_cards()
     try:
         return GpuEngine(model, edits, input_spec, sensors, cards)
     except ImportError as error:
@@ -121,28 +127,20 @@ def _loaded(engine: GpuEngine) -> Engine:
     return engine
 
 
-def _cards() -> list[str]:
-    """Warp's names of the cards of this computer, or the address of the process that has them.
-
-    Raises:
-        SimulationError: There is no card.
-    """
-    shared = os.environ.get(ADDRESS)
-    return [shared] if shared else visible_cards()
-
-
 @contextmanager
-def shared_cards(kind: str) -> Iterator[None]:
-    """Processes that are started inside share the cards of this computer, if their engine is 'gpu' or 'auto'.
+def shared_cards(kind: str) -> Iterator[str]:
+    """A kind of engine for processes that are started inside: one that computes on cards shares these.
 
     Raises:
-        SimulationError: There is none, or a library is missing.
+        ConfigError: There is no such kind of engine.
+        SimulationError: There is no card, or a library is missing.
     """
+    check_kind(kind)
     if kind == "cpu":
-        yield
+        yield kind
         return
-    with sharing(_cards()):
-        yield
+    with sharing(visible_cards()) as address:
+        yield f"{kind}@{address}"
 
 
 def _missing(error: ImportError) -> SimulationError:

@@ -60,9 +60,9 @@ def on_warp(
     return GpuEngine(model or system.model, edits, system.input_spec, senses, [device])
 
 
-def asked(arguments: tuple[Any, ...]) -> np.ndarray:
+def asked(kind: str, arguments: tuple[Any, ...]) -> np.ndarray:
     """What a process of its own predicts of the pendulum on shared cards: it does not load mujoco-warp."""
-    values = open_engine(System.load("pendulum"), kind="gpu").predict(*arguments).values[0]
+    values = open_engine(System.load("pendulum"), kind=kind).predict(*arguments).values[0]
     assert "mujoco_warp" not in sys.modules
     return to_host(values)
 

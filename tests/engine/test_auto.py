@@ -44,11 +44,13 @@ def cards(monkeypatch: pytest.MonkeyPatch) -> list[Cards]:
     """The engines of the cards that were opened, on a computer that has one."""
     opened: list[Cards] = []
 
-    def opens(executor: object, model: Any, edits: Any, input_spec: int, sensors: bool) -> Cards:
+    def opens(
+        address: str, executor: object, model: Any, edits: Any, input_spec: int, sensors: bool
+    ) -> Cards:
         opened.append(Cards(CpuEngine(model, edits, input_spec, 1, sensors)))
         return opened[-1]
 
-    monkeypatch.setattr(opening, "_cards", lambda: ["cuda:0"])
+    monkeypatch.setattr(opening, "visible_cards", lambda: ["cuda:0"])
     monkeypatch.setattr(opening, "_gpu_engine", opens)
     monkeypatch.setattr("amhe_cli.engine.auto.START", 0.0)
     return opened
@@ -70,7 +72,7 @@ def test_without_a_card_it_is_the_engine_of_the_processor_and_says_so(monkeypatc
     def none() -> list[str]:
         raise SimulationError("no graphics card that CUDA can use; take the engine 'cpu'")
 
-    monkeypatch.setattr(opening, "_cards", none)
+    monkeypatch.setattr(opening, "visible_cards", none)
     caplog.set_level(NOTE, "amhe_cli")
     assert isinstance(open_engine(PENDULUM, kind="auto"), CpuEngine)
     assert caplog.messages == ["the CPU computes all rollouts: no graphics card that CUDA can use"]
@@ -124,7 +126,7 @@ from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.system.system import System
 
 begun = threading.Event()
-opening._cards = lambda: ["cuda:0"]
+opening.visible_cards = lambda: ["cuda:0"]
 opening._gpu_engine = lambda *about: begun.set() or threading.Event().wait()
 CpuEngine.rollout = lambda *arguments: print("computed")
 engine = opening.open_engine(System.load("pendulum"), kind="auto")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -151,14 +152,14 @@ def test_processes_share_the_cards_of_another_one(monkeypatch: pytest.MonkeyPatc
     arguments = call(PENDULUM)
     alone = on(PENDULUM).predict(*arguments)
     monkeypatch.setattr("amhe_cli.engine.open.visible_cards", lambda: ["cpu"])
-    with shared_cards("gpu"), ProcessPoolExecutor(3, get_context("spawn")) as executor:
-        for found in executor.map(asked, 3 * [arguments]):
+    with shared_cards("gpu") as kind, ProcessPoolExecutor(3, get_context("spawn")) as executor:
+        for found in executor.map(partial(asked, kind), 3 * [arguments]):
             np.testing.assert_array_equal(found, alone.values[0])
         spec = mujoco.MjSpec.from_file(str(PENDULUM.folder / "scene.xml"))  # type: ignore[operator]
         solver(spec)
         with pytest.raises(SimulationError, match="cannot simulate this model: .*PGS"):
-            open_engine(PENDULUM, kind="gpu", model=spec.compile())
-        engine = open_engine(PENDULUM, kind="gpu")
+            open_engine(PENDULUM, kind=kind, model=spec.compile())
+        engine = open_engine(PENDULUM, kind=kind)
     with pytest.raises(SimulationError, match="the process that has the graphics cards has ended"):
         engine.predict(*arguments)
 

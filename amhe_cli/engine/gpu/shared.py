@@ -29,15 +29,13 @@ from amhe_cli.engine.gpu.blueprint import Blueprint
 from amhe_cli.engine.gpu.job import Job, NoRoomError, joined
 from amhe_cli.engine.rollout import Predicted
 
-#: Name of the environment variable with the address of the process that has the cards.
-ADDRESS = "AMHE_CARDS"
 #: Blueprints of which the worlds are kept on a card.
 KEPT = 12
 
 
 @contextmanager
-def sharing(devices: list[str]) -> Iterator[None]:
-    """Processes that are started inside share these devices, through one more process that has them.
+def sharing(devices: list[str]) -> Iterator[str]:
+    """The address of a process that has these devices, for processes that are started inside.
 
     Raises:
         SimulationError: That process did not begin.
@@ -52,11 +50,9 @@ def sharing(devices: list[str]) -> Iterator[None]:
             ready.recv()
         except EOFError:
             raise SimulationError("the process that has the graphics cards did not begin") from None
-        os.environ[ADDRESS] = address
         try:
-            yield
+            yield address
         finally:
-            del os.environ[ADDRESS]
             process.terminate()
             process.join()
 
