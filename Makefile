@@ -6,6 +6,8 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --quiet --quiet --disable-pip-version-check
 
 export OMP_NUM_THREADS ?= 1
+# What is compiled is kept: the tests start hundreds of commands.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help demo test test-fast test-lowest lint format docs site results-report bench clean
 
