@@ -38,7 +38,7 @@ SHOW = """(() => {
   const take = chosen[%d];
   if (player.take !== take) {
     player.take = take; player.row = take.recording;
-    player.fit(); player.stage.camera.away *= 1.45; player.redraw(); scrollTo(0, 0);
+    player.fit(); player.redraw(); scrollTo(0, 0);
   }
   player.seek(take.start + %.4f * (take.stop - take.start)); player.paint();
   return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));

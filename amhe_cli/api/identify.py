@@ -153,8 +153,6 @@ class Result:
         from amhe_cli.report.identification_page import Beside
         from amhe_cli.view.open import clip_name, view_of
 
-        if self.system.match == "effort":  # efforts along the motion have no motion of their own
-            return Beside()
         verdicts = {name: p.verdict for name, p in self.parameters.items()}
         try:
             view = view_of(

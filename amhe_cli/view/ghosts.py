@@ -1,4 +1,7 @@
-"""Ghosts: clips of logs rolled out from their first states, under several values of the parameters."""
+"""Ghosts: clips of logs rolled out from their first states, under several values of the parameters.
+
+Where efforts are matched nothing is rolled out: a ghost is the efforts that the measured motion needs.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ import mujoco
 import numpy as np
 
 from amhe_cli.core import rotations
-from amhe_cli.core.arrays import FloatArray, IntArray
+from amhe_cli.core.arrays import FloatArray, IntArray, to_host
 from amhe_cli.core.each_log import values_on
 from amhe_cli.core.log import Log, Window
 from amhe_cli.core.shown import TimeCurve
@@ -150,7 +153,7 @@ class Viewing:
         measured, space = self.logs[take.recording], self.scene.system.space
         assert self.engine is not None, "nothing was recorded"
         (one,) = _predicted(measured.scene.system, [take.window], space.z_of(theta), self.engine)
-        return _ghost(measured, one, take.rows, take.measured), one.cost
+        return one.ghost(measured, take.rows, take.measured), one.cost
 
 
 def viewing(
@@ -279,7 +282,24 @@ class MeasuredLog:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Prediction:
+class _Efforts:
+    """Efforts that a candidate needs along the motion of a clip, shape (n, k), at rows of the clip (n,)."""
+
+    rows: IntArray
+    values: FloatArray
+    cost: float
+
+    def ghost(self, _: MeasuredLog, rows: IntArray, own: Track) -> Track | None:
+        """The efforts at some instants of the clip, beside the motion that was measured."""
+        if not math.isfinite(self.cost):
+            return None
+        open_ends = {"left": np.nan, "right": np.nan}
+        columns = [np.interp(rows, self.rows, column, **open_ends) for column in self.values.T]
+        return Track(own.step, own.poses, np.stack(columns, axis=1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rollout:
     """Row i of rollouts from some starts, and its cost; the model if its contact forces are shown."""
 
     rolled: RolledOut
@@ -287,6 +307,35 @@ class _Prediction:
     i: int
     cost: float
     model: mujoco.MjModel | None = None
+
+    def ghost(self, measured: MeasuredLog, rows: IntArray, own: Track) -> Track | None:
+        """The clip at some of its instants, with the forces of its model; None where it diverged."""
+        rolled, i = self.rolled, self.i
+        if not rolled.rollouts.completed[i]:
+            return None
+        system, theta, some = measured.scene.system, rolled.theta[None], self.starts.of(np.array([i]))
+        qpos, qvel = (state[0] for state in some.states(system.model, 1, state_errors(system, theta, some)))
+        states = {
+            "qpos": np.concatenate((qpos, rolled.rollouts.qpos[i]))[rows],
+            "qvel": np.concatenate((qvel, rolled.rollouts.qvel[i]))[rows],
+        }
+        if (sensors := rolled.rollouts.sensordata) is not None:
+            states["sensordata"] = np.concatenate((np.full((1, sensors.shape[-1]), np.nan), sensors[i]))[rows]
+        driven = rolled.inputs[i][np.minimum(rows, len(rolled.inputs[i]) - 1)]
+        numbers, found = system.edits.numbers(theta), []
+        for channel in _shown(system):
+            true = states[channel.source][None][..., list(channel.columns)]
+            shown = reading_of(channel, system.calibration.readings.get(channel.key), numbers, true)[0]
+            if channel.kind == "rotation":
+                first = sum(values.shape[1] for values in found)
+                turned = rotations.difference(shown, measured.zeros(channel, len(rows)))
+                shown = continued(turned, own.values[0, first : first + 3])
+            found.append(shown)
+        values = np.concatenate(found, axis=1) if found else np.empty((len(rows), 0))
+        scene, model = measured.scene, self.model
+        poses = scene.poses(states["qpos"], driven if system.model.nmocap else None)
+        forces = None if model is None else scene.forces(model, states["qpos"], states["qvel"], driven)
+        return Track(own.step, poses, values, forces)
 
 
 def _at(candidate: Candidate, time: float) -> FloatArray:
@@ -296,19 +345,38 @@ def _at(candidate: Candidate, time: float) -> FloatArray:
 
 def _predicted(
     system: System, windows: Sequence[Window], candidate: Candidate, engine: Engine, forces: bool = False
-) -> Iterator[_Prediction]:
-    """Clips of one log rolled out under a candidate, each with the values where the clip starts."""
+) -> Iterator[_Rollout | _Efforts]:
+    """Clips of one log under a candidate, each with the values where the clip starts."""
     if callable(candidate):
         for window in windows:
             z = candidate(window.start * window.log.dt)
             yield from _predicted(system, [window], z, engine, forces)
         return
     cost = MatchingCost(system, windows, engine, system.settings.cost)
+    if system.match == "effort":
+        yield from _needed(cost, candidate)
+        return
     (rolled,) = cost.rolled_out(candidate, None)  # one log: its clips are rolled out together
     costs = cost.clip_costs(cost.residuals_of(rolled))[0]
     model = system.edits.apply(system.model, rolled.theta) if forces else None
     for i in range(len(windows)):
-        yield _Prediction(rolled, cost.clips.starts, i, float(costs[i]), model)
+        yield _Rollout(rolled, cost.clips.starts, i, float(costs[i]), model)
+
+
+def _needed(cost: MatchingCost, z: FloatArray) -> Iterator[_Efforts]:
+    """What the motion of clips of one log needs under z (d,); NaN in columns that are compared nowhere."""
+    predicted, channels = cost.predict(z[None]), _shown(cost.system)
+    log, costs = cost.clips.windows[0].log, cost.clip_costs(cost.residuals(z[None]))[0]
+    names = [part.key for channel in channels for part in channel.parts(log[channel.key].columns)]
+    known = {
+        one.channel.key: to_host(of[0]) for one, of in zip(cost.clips.observed, predicted.values, strict=True)
+    }
+    for i, of_log in enumerate(costs):
+        rows = cost.clips.observed[0].rows[i] + 1
+        own = rows[: 1 + int(np.count_nonzero(np.diff(rows) > 0))]  # the rest pads it
+        none = np.full(len(own), np.nan)
+        columns = [known[name][i, : len(own), 0] if name in known else none for name in names]
+        yield _Efforts(own, np.stack(columns, axis=1), float(of_log))
 
 
 def takes_of(
@@ -338,38 +406,8 @@ def takes_of(
     for (window, held_out), *predictions in zip(windows, *every, strict=True):
         rows = np.arange(0, window.length + 1, min(_stride(rate, dt), window.length))
         own = measured.at(window.start + rows)
-        ghosts = tuple(_ghost(measured, one, rows, own) for one in predictions)
+        ghosts = tuple(one.ghost(measured, rows, own) for one in predictions)
         yield Take(recording, window, rows, held_out, tuple(one.cost for one in predictions), own, ghosts)
-
-
-def _ghost(measured: MeasuredLog, one: _Prediction, rows: IntArray, own: Track) -> Track | None:
-    """A predicted clip at some of its instants, with the forces of its model; None where it diverged."""
-    rolled, i = one.rolled, one.i
-    if not rolled.rollouts.completed[i]:
-        return None
-    system, theta, some = measured.scene.system, rolled.theta[None], one.starts.of(np.array([i]))
-    qpos, qvel = (state[0] for state in some.states(system.model, 1, state_errors(system, theta, some)))
-    states = {
-        "qpos": np.concatenate((qpos, rolled.rollouts.qpos[i]))[rows],
-        "qvel": np.concatenate((qvel, rolled.rollouts.qvel[i]))[rows],
-    }
-    if (sensors := rolled.rollouts.sensordata) is not None:
-        states["sensordata"] = np.concatenate((np.full((1, sensors.shape[-1]), np.nan), sensors[i]))[rows]
-    driven = rolled.inputs[i][np.minimum(rows, len(rolled.inputs[i]) - 1)]
-    numbers, found = system.edits.numbers(theta), []
-    for channel in _shown(system):
-        true = states[channel.source][None][..., list(channel.columns)]
-        shown = reading_of(channel, system.calibration.readings.get(channel.key), numbers, true)[0]
-        if channel.kind == "rotation":
-            first = sum(values.shape[1] for values in found)
-            turned = rotations.difference(shown, measured.zeros(channel, len(rows)))
-            shown = continued(turned, own.values[0, first : first + 3])
-        found.append(shown)
-    values = np.concatenate(found, axis=1) if found else np.empty((len(rows), 0))
-    scene = measured.scene
-    poses = scene.poses(states["qpos"], driven if system.model.nmocap else None)
-    forces = None if one.model is None else scene.forces(one.model, states["qpos"], states["qvel"], driven)
-    return Track(own.step, poses, values, forces)
 
 
 def continued(vectors: FloatArray, near: FloatArray | None = None) -> FloatArray:

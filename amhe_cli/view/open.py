@@ -69,7 +69,9 @@ class LogView:
         return max(among, key=lambda i: takes[i].costs[0], default=None)
 
     def strip(self, row: int) -> Markup:
-        """Pictures of a clip, measured and with its ghosts, that stage.js draws in a report."""
+        """Pictures of a clip, measured and with its ghosts, for stage.js; '' where these move alike."""
+        if self.found.scene.system.match == "effort":
+            return Markup("")
         scene = scene_of(self.found.scene.system, most=_TRIANGLES)
         values = strip_data(self.found, self.found.takes[row], scene, _PICTURES)
         return Markup('<div class="ghosts"><script type="application/json">{}</script></div>').format(
@@ -208,6 +210,8 @@ def _parts(
 
 def _notes(found: Viewing) -> Iterator[str]:
     """What is not as a reader would expect."""
+    if found.scene.system.match == "effort":
+        yield "Efforts are compared along the measured motion: only the plots tell the ghosts apart."
     names = [found.scene.names[i] for i in found.scene.unmeasured]
     if names:
         yield f"No signal gives the place of {', '.join(names)}: drawn grey, at home."

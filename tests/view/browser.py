@@ -35,8 +35,12 @@ PIXELS = """(() => {
 })()"""
 
 
+#: A taller picture repeats its beginning [px].
+_TALLEST = 8000
+
+
 class Browser:
-    """One tab. Scripts that fail fail the test."""
+    """One tab. Scripts that fail fail the test; what pages say on the console is kept in `complaints`."""
 
     def __init__(self, to: Any, back: Any) -> None:
         self._to, self._back, self._count = to, back, 0
@@ -44,9 +48,10 @@ class Browser:
         target = self.ask("Target.createTarget", url="about:blank")["targetId"]
         attached = self.ask("Target.attachToTarget", targetId=target, flatten=True)
         self.session = {"sessionId": attached["sessionId"]}
-        self.ask("Page.enable")
-        self.ask("Network.enable")
         self.requests: list[str] = []
+        self.complaints: list[str] = []
+        for domain in ("Page", "Network", "Runtime", "Log"):
+            self.ask(f"{domain}.enable")
 
     def ask(self, method: str, **params: Any) -> dict[str, Any]:
         self._count += 1
@@ -55,11 +60,21 @@ class Browser:
         self._to.flush()
         while True:
             answer = json.loads(self._message())
-            if answer.get("method") == "Network.requestWillBeSent":
-                self.requests.append(answer["params"]["request"]["url"])
+            self._hear(answer.get("method", ""), answer.get("params", {}))
             if answer.get("id") == self._count:
                 assert "error" not in answer, answer
                 return answer["result"]
+
+    def _hear(self, event: str, told: dict[str, Any]) -> None:
+        if event == "Network.requestWillBeSent":
+            self.requests.append(told["request"]["url"])
+        elif event == "Runtime.exceptionThrown":
+            thrown = told["exceptionDetails"]
+            self.complaints.append(thrown.get("exception", {}).get("description", thrown["text"]))
+        elif event == "Runtime.consoleAPICalled" and told["type"] in ("error", "warning", "assert"):
+            self.complaints.append(str(told["args"]))
+        elif event == "Log.entryAdded" and told["entry"]["level"] in ("error", "warning"):
+            self.complaints.append(told["entry"]["text"])
 
     def _message(self) -> bytes:
         whole = bytearray()
@@ -92,9 +107,19 @@ class Browser:
         assert "exceptionDetails" not in result, result["exceptionDetails"]
         return result["result"].get("value")
 
-    def picture(self, path: Path) -> Path:
-        """A screenshot, in the format that the path's ending names: png, webp or jpeg."""
-        taken = self.ask("Page.captureScreenshot", format=path.suffix[1:])
+    def picture(self, path: Path, whole: bool = False) -> Path:
+        """A screenshot of the window or the whole page: png, webp or jpeg, as the path's ending."""
+        size, more = self.ask("Page.getLayoutMetrics")["cssContentSize"], {}
+        if whole:
+            clip = {
+                "x": 0,
+                "y": 0,
+                "width": size["width"],
+                "height": min(size["height"], _TALLEST),
+                "scale": 1,
+            }
+            more = {"captureBeyondViewport": True, "clip": clip}
+        taken = self.ask("Page.captureScreenshot", format=path.suffix[1:], **more)
         path.write_bytes(base64.b64decode(taken["data"]))
         return path
 

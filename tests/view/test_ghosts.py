@@ -21,6 +21,7 @@ from amhe_cli.view.page import Heading, saved_page
 from amhe_cli.view.scene import scene_of
 from amhe_cli.view.shapes import Shape, decimated, shape_of
 from tests.conftest import PENDULUM_TRUTH, write_pendulum_log
+from tests.matching.test_efforts import recorded, system_of
 
 
 @pytest.fixture(scope="module")
@@ -277,3 +278,28 @@ def test_a_model_without_shapes_is_drawn_as_rods() -> None:
     assert scene.names == ["upper", "lower"]
     lengths = [(geom.body, np.ptp(geom.shape.vertices[:, 2])) for geom in scene.geoms]
     assert lengths == [(0, pytest.approx(0.2)), (0, pytest.approx(0.3)), (1, pytest.approx(0.1))]
+
+
+@pytest.mark.medium
+def test_matched_efforts_are_ghosts_that_move_as_measured() -> None:
+    system = system_of()
+    truth = dict(zip(system.space.names, system.space.nominal, strict=True)) | {"lower": 0.8, "offset": 0.2}
+    theta = np.array([truth[name] for name in system.space.names])
+    log = recorded(system, theta)
+    found = viewing(
+        system,
+        [(whole(log), None)],
+        {"before": np.zeros(len(theta)), "after": system.space.z_of(theta)},
+        open_engine(system),
+    )
+    assert len(found.takes) > 3 and {one.channel for one in found.columns} == {"torque.effort"}
+    for take in found.takes:
+        before, after = take.ghosts
+        assert before is not None and after is not None
+        assert (after.poses == take.measured.poses).all()
+        misses = [np.sqrt(np.nanmean((one.values - take.measured.values) ** 2)) for one in (before, after)]
+        assert misses[1] < 0.15 < misses[0]  # [N m]; the noise is .1
+        assert take.costs[1] < take.costs[0]
+    assert found.again(found.takes[0], theta)[1] == pytest.approx(found.takes[0].costs[1])
+    notes = view_of(system, [log]).heading.notes
+    assert any("along the measured motion" in note for note in notes)

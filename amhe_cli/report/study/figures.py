@@ -40,7 +40,7 @@ RULE = "#e2e8f0"
 #: Colour of what identified parameters predict.
 IDENTIFIED = "#2563eb"
 #: Colour of what initial parameters predict.
-INITIAL = "#d97706"
+INITIAL = "#b45309"
 #: Colours as in style.css.
 FONTS = "Inter, 'Segoe UI', 'Helvetica Neue', Arial, 'DejaVu Sans', sans-serif"
 
@@ -122,7 +122,7 @@ Floors = Mapping[str, Floor]
 Drawing = tuple[str, str, str, Callable[[], Figure]]
 
 #: Colour of each mode; of what is true or wanted, and the operating point; of the path of the box.
-_COLORS = {"true": INK, "baseline": "#d97706", "stale": "#b91c1c", "adaptive": "#2563eb"}
+_COLORS = {"true": INK, "baseline": "#b45309", "stale": "#b91c1c", "adaptive": "#2563eb"}
 _TRUTH, _PATH = "#15803d", "#94a3b8"
 #: Height of the legend below the panels [inch].
 _STRIP = 0.34

@@ -11,12 +11,12 @@ function strip(box) {
     return picture;
   });
   const frames = data.frames.map((frame) => frame.map(floats));
-  stage.camera.away = 2.1 * Math.max(...frames.map(([own]) => stage.bounds(own).radius));
+  stage.camera.away = stage.distance(frames.map(([own]) => [own, stage.middle(own)]));
   const paint = () => {
     const colors = { sky: rgb("faint"), ground: rgb("rule"), grid: rgb("prior"), dark: isDark() };
     frames.forEach(([own, ...ghosts], i) => {
       const layers = ghosts.map((poses, k) => ({ poses, tint: rgb(data.candidates[k]), opacity: 0.5 })).reverse();
-      stage.draw([{ poses: own, opacity: 1 }, ...layers], stage.bounds(own).middle, colors, {});
+      stage.draw([{ poses: own, opacity: 1 }, ...layers], stage.middle(own), colors, {});
       pictures[i].getContext("2d").drawImage(canvas, 0, 0, 400, 300);
     });
   };

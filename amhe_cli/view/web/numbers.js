@@ -45,8 +45,8 @@ function looking(eye, at, up) {
   return [right[0], top[0], back[0], 0, right[1], top[1], back[1], 0, right[2], top[2], back[2], 0,
     -dot(right, eye), -dot(top, eye), -dot(back, eye), 1];
 }
-function perspective(angle, aspect, near, far) {
-  const f = 1 / Math.tan(angle / 2);
+function perspective(half, aspect, near, far) {
+  const f = 1 / half;
   return [f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, (far + near) / (near - far), -1, 0, 0, 2 * far * near / (near - far), 0];
 }
 // Flattens everything along the light onto the plane z = height.

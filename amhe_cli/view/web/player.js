@@ -206,7 +206,12 @@ class Player {
     if (!this.stage) return;
     const track = this.take ? this.take.tracks[0] : this.recording.track;
     if (!track.count) return;
-    this.stage.camera.away = 2.5 * this.stage.bounds(track.at(0)).radius; this.stage.camera.moved = [0, 0, 0];
+    const { take, stage } = this, [from, to] = this.span(), instants = Array.from({ length: 15 }, (_, k) => from + k / 14 * (to - from));
+    const seen = (tracks, start) => stage.distance(instants.flatMap((time) => tracks.map((one) => [one.at(time - start), this.middle(take, track, time)])));
+    const own = seen([track], take?.start ?? 0), ghosts = take?.tracks.slice(1).filter((one) => one) ?? [];
+    stage.camera.away = ghosts.length ? Math.min(Math.max(own, seen(ghosts, take.start)), 2 * own) : own;  // what runs away may leave
+    if (this.data.live) stage.camera.away *= 1.5;  // its motion is still to come
+    stage.camera.moved = [0, 0, 0];
   }
   seek(time) {
     const [from, to] = this.span();
@@ -275,7 +280,7 @@ class Player {
     });
     if (take?.yours?.track) layers.unshift({ poses: take.yours.track.at(this.now - take.start), tint: this.yours, opacity: 0.6 });
     if (this.shown.has("measured")) layers[this.far ? "push" : "unshift"]({ poses: measured, opacity: 1, home });
-    this.stage.draw(layers, this.middle(take, track), this.solid, { ...this.drawn(take), weight: this.data.weight });
+    this.stage.draw(layers, this.middle(take, track, this.now), this.solid, { ...this.drawn(take), weight: this.data.weight });
   }
   // Forces and traces of the present time: those of the best ghost, or those that came with a live frame.
   drawn(take) {
@@ -294,13 +299,13 @@ class Player {
     line.style.width = `${long.toFixed(0)}px`; this.newtons.replaceChildren(line, ` ${brief(round)} N`);
   }
   // The place that the camera follows: the bodies' mean over a second or so, which moves smoothly.
-  middle(take, track) {
+  middle(take, track, now) {
     let sum = [0, 0, 0];
     const count = 7;
     for (let i = 0; i < count; i++) {
-      const time = this.now + (i / (count - 1) - 0.5) * 1.6;
+      const time = now + (i / (count - 1) - 0.5) * 1.6;
       const poses = take && this.take ? take.tracks[0].at(Math.min(Math.max(time, take.start), take.stop) - take.start) : track.at(time);
-      sum = add(sum, this.stage.bounds(poses).middle);
+      sum = add(sum, this.stage.middle(poses));
     }
     return times(sum, 1 / count);
   }

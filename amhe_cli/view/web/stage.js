@@ -70,11 +70,10 @@ class Stage {
   }
   loaded(geom) {
     return { ...this.mesh(floats(geom.vertices), rows(geom.faces)), local: placed(geom.pose), body: geom.body, color: geom.color, floor: geom.floor,
-      kind: geom.floor ? 1 : geom.flat ? 3 : 0, offset: Math.hypot(...geom.pose.slice(0, 3)) };
+      kind: geom.floor ? 1 : geom.flat ? 3 : 0 };
   }
   mesh(places, faces) {
-    const gl = this.gl, normals = new Float32Array(places.length);
-    let size = 0;
+    const gl = this.gl, normals = new Float32Array(places.length), low = [0, 0, 0], high = [0, 0, 0];
     for (let f = 0; f < faces.length; f += 3) {
       const [a, b, c] = [0, 1, 2].map((k) => Array.from(places.subarray(3 * faces[f + k], 3 * faces[f + k] + 3)));
       const normal = cross(less(b, a), less(c, a));
@@ -82,8 +81,7 @@ class Stage {
     }
     for (let v = 0; v < normals.length; v += 3) {
       const length = Math.hypot(normals[v], normals[v + 1], normals[v + 2]) || 1;
-      for (let i = 0; i < 3; i++) normals[v + i] /= length;
-      size = Math.max(size, Math.hypot(places[v], places[v + 1], places[v + 2]));
+      for (let i = 0; i < 3; i++) { normals[v + i] /= length; low[i] = Math.min(low[i], places[v + i]); high[i] = Math.max(high[i], places[v + i]); }
     }
     const array = gl.createVertexArray();
     gl.bindVertexArray(array);
@@ -95,17 +93,35 @@ class Stage {
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
     gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, faces, gl.STATIC_DRAW);
     gl.bindVertexArray(null);
-    return { array, count: faces.length, size };
+    return { array, count: faces.length, low, high };
   }
-  // Centre of the bodies, and the radius that holds them and their geoms.
-  bounds(poses) {
-    const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
-    const grow = (place, by) => { for (let i = 0; i < 3; i++) { low[i] = Math.min(low[i], place[i] - by); high[i] = Math.max(high[i], place[i] + by); } };
-    for (const geom of this.geoms) {
-      if (geom.body >= 0) grow(poses.subarray(7 * geom.body, 7 * geom.body + 3), 0.8 * (geom.size + geom.offset));
-    }
-    if (!Number.isFinite(low[0])) return { middle: [0, 0, 0.3], radius: 1 };
-    return { middle: times(add(low, high), 0.5), radius: Math.max(Math.hypot(...less(high, low)) / 2, 0.02) };
+  // Corners of the boxes around all that moves.
+  corners(poses) {
+    return this.geoms.filter((geom) => geom.body >= 0).flatMap(({ body, local, low, high }) => {
+      const at = product(placed(poses, 7 * body), local);
+      return Array.from({ length: 8 }, (_, k) => {
+        const place = [0, 1, 2].map((i) => (k >> i & 1 ? high : low)[i]);
+        return [0, 1, 2].map((r) => at[r] * place[0] + at[4 + r] * place[1] + at[8 + r] * place[2] + at[12 + r]);
+      });
+    });
+  }
+  // Centre of all that moves.
+  middle(poses) {
+    const corners = this.corners(poses);
+    if (!corners.length) return [0, 0, 0.3];
+    return [0, 1, 2].map((i) => { const [low, high] = spread([corners.map((place) => place[i])]); return (low + high) / 2; });
+  }
+  // How wide the picture is over its height, and the tangent of half the angle of that.
+  lens() { const wide = this.canvas.clientWidth / Math.max(this.canvas.clientHeight, 1); return { wide, half: Math.tan(wide < 1 ? 0.425 : 0.3) }; }
+  // From how far away all of some frames, poses and the place that the camera looks at, are in the picture.
+  distance(frames) {
+    const { around, above } = this.camera, { wide, half } = this.lens();
+    const back = [Math.cos(around) * Math.cos(above), Math.sin(around) * Math.cos(above), Math.sin(above)];
+    const right = unit(cross([0, 0, 1], back)), top = cross(back, right);
+    const needs = frames.flatMap(([poses, at]) => this.corners(poses).map((corner) => {
+      const place = less(corner, at); return dot(place, back) + Math.max(Math.abs(dot(place, right)) / wide, Math.abs(dot(place, top))) / half;
+    }));
+    return 1.15 * Math.max(spread([needs])?.[1] ?? 2, 0.02);  // a little room
   }
   handle() {
     const canvas = this.canvas, camera = this.camera, held = new Map();
@@ -150,10 +166,9 @@ class Stage {
     if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
     const at = add(middle, this.camera.moved);
     const eye = add(at, times([Math.cos(around) * Math.cos(above), Math.sin(around) * Math.cos(above), Math.sin(above)], away));
-    const wide = width / Math.max(height, 1);
-    const angle = wide < 1 ? 0.85 : 0.6;
-    this.reach = ARROW / (2 * Math.tan(0.5 * angle));  // an arrow of the weight, as a share of the height
-    const view = product(perspective(angle, wide, away / 60, away * 40), looking(eye, at, [0, 0, 1]));
+    const { wide, half } = this.lens();
+    this.reach = ARROW / (2 * half);  // an arrow of the weight, as a share of the height
+    const view = product(perspective(half, wide, away / 60, away * 40), looking(eye, at, [0, 0, 1]));
     gl.viewport(0, 0, width, height);
     gl.clearColor(...colors.sky, 1); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT | gl.STENCIL_BUFFER_BIT);
     gl.enable(gl.DEPTH_TEST); gl.depthFunc(gl.LEQUAL); gl.useProgram(this.program);

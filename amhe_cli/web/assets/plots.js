@@ -215,8 +215,9 @@ function ticks(low, high, count, log = false) {
     for (let power = 10 ** Math.floor(Math.log10(low)); power <= high; power *= 10) found.push(...every.map((k) => k * power));
     return found.filter((v) => low <= v && v <= high).map((value) => ({ value, text: brief(value) }));
   }
-  const raw = (high - low) / count, power = 10 ** Math.floor(Math.log10(raw || 1));
-  const step = [1, 2, 5, 10].map((s) => s * power).find((s) => s >= raw / 1.7) || 1, out = [];  // two of them fit always
+  const raw = (high - low) / count, power = 10 ** Math.floor(Math.log10(raw || 1)), steps = [0.2, 0.5, 1, 2, 5, 10].map((s) => s * power), out = [];
+  const fit = (step) => Math.floor(high / step + 1e-9) - Math.ceil(low / step - 1e-9) + 1;
+  const wanted = steps.find((s) => s >= raw / 1.7) || 1, step = steps.findLast((s) => s <= wanted && fit(s) > 1) ?? wanted;  // one alone is no scale
   const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
   for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) out.push({ value: k * step, text: minus(digits > 4 ? (k * step).toExponential(0) : (k * step).toFixed(digits)) });
   return out;

@@ -1,0 +1,208 @@
+"""Every kind of page in a real browser, wide and narrow, light and dark: nothing that a reader stumbles over.
+
+The pictures stay in pytest's folder of the test, as PAGE-WIDTH-THEME.png.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import amhe_cli as amhe
+from amhe_cli.cli.main import run
+from amhe_cli.core.log import Window
+from amhe_cli.engine.open import open_engine
+from amhe_cli.estimation.online.horizon import MovingHorizon
+from amhe_cli.report.study.figures import drawn
+from amhe_cli.report.study.page import study_page
+from amhe_cli.report.study.tables import tables
+from amhe_cli.robots.go1.tasks import TASKS
+from amhe_cli.study.cells import Cell, setting_of
+from amhe_cli.study.goals import goals
+from amhe_cli.study.store import Study
+from amhe_cli.study.summary import Groups, ablations
+from amhe_cli.view.live import WindowsShown
+from tests.report.synthetic import identification
+from tests.report.test_identification import page as report_of
+from tests.study.cells_at_play import result
+from tests.view.browser import Browser, browser, needs_chromium
+
+FAULTS = Path(__file__).with_name("faults.js").read_text(encoding="utf-8")
+#: A browser's `open` of a page is followed by this: everything is unfolded, drawn and scrolled to its start.
+SETTLED = """(async () => {
+  for (const one of document.querySelectorAll('details')) one.open = true;
+  for (let i = 0; i < 4; i++) await new Promise((done) => requestAnimationFrame(() => setTimeout(done, 40)));
+})()"""
+QUICK = {"clips": {"count": 6}, "identify": {"iterations": 3, "profile_points": 3, "first_state": "never"}}
+
+#: A folder -> where pages are, in that folder or on a server, for as long as they are there.
+Maker = Callable[[Path], AbstractContextManager[Sequence[str]]]
+
+
+def of_commands(pages: str, *commands: str) -> Maker:
+    """Pages that commands write; OUT in them is the folder."""
+
+    @contextmanager
+    def made(folder: Path) -> Iterator[Sequence[str]]:
+        for command in commands:
+            words = [word.replace("OUT", str(folder)) for word in command.split()]
+            assert run([*words, "-q"]) == 0, words
+        yield pages.split()
+
+    return made
+
+
+@contextmanager
+def study(folder: Path) -> Iterator[Sequence[str]]:
+    """The page of `amhe eval`, of runs that did not happen."""
+    worse, modes = {"true": 0.0, "baseline": 1.0, "adaptive": 0.03}, ("true", "baseline", "adaptive")
+    cells = [Cell(task, mode, seed) for task in ("t1", "t4", "t5") for mode in modes for seed in range(3)]
+    cells += [Cell("t4", "adaptive", seed, setting_of({"control.samples": 16})) for seed in range(2)]
+    groups = Groups([result(cell, worse[cell.mode]) for cell in cells], (), tuple(TASKS), modes)
+    tried, floors = ablations(groups, {"control.samples": 8}), {n: task.floor for n, task in TASKS.items()}
+    failed = {"t1 adaptive 3": "SimulationError: the plant diverged"}
+    shown = drawn(groups, tried, floors, folder)
+    page = study_page(Study({}, {}, machine={}), groups, failed, tables(groups, tried, goals(groups)), shown)
+    (folder / "report.html").write_text(page, encoding="utf-8")
+    yield ["report.html"]
+
+
+@contextmanager
+def compare(folder: Path) -> Iterator[Sequence[str]]:
+    """The page of `amhe compare`, of two models."""
+    free = amhe.System.load("pendulum", QUICK)
+    systems = [free, free.fixing({"damping": 0.4})]
+    amhe.compare(systems, [[amhe.read_log("example:pendulum", one)] for one in systems]).save(folder / "o")
+    yield ["o/report.html"]
+
+
+@contextmanager
+def watch(_: Path) -> Iterator[Sequence[str]]:
+    """The page of `amhe watch --view`, with two windows of a log."""
+    system = amhe.System.load("pendulum")
+    log = amhe.read_log("example:pendulum", system)
+    first, estimator = (
+        system.space.nominal,
+        MovingHorizon(system, open_engine(system), np.random.default_rng(0)),
+    )
+    with WindowsShown(system, first, "a log") as shown:
+        for start in (1000, 1250):
+            window = Window(log, start, round(0.5 / log.dt))
+            end = window.stop * log.dt
+            shown.put((window, replace(estimator.update(window, end), mark="jump" if start > 1000 else "")))
+        yield [shown.server.address]
+
+
+@contextmanager
+def notebook(folder: Path) -> Iterator[Sequence[str]]:
+    """What cells of a notebook show of a system, a log, a belief and a result."""
+    system = amhe.System.load("pendulum", QUICK)
+    log = amhe.read_log("example:pendulum", system)
+    found = amhe.identify(system, [log])
+    cells = "".join(one._repr_html_() for one in (found, system, log, found.belief))
+    style = (
+        "<style>body{background:light-dark(#fff,#111);color:light-dark(#222,#ddd);color-scheme:light dark}"
+    )
+    (folder / "notebook.html").write_text(f"<!doctype html>{style}</style>{cells}", encoding="utf-8")
+    yield ["notebook.html"]
+
+
+@contextmanager
+def verdicts(folder: Path) -> Iterator[Sequence[str]]:
+    """The report of a result with one of every verdict."""
+    page = report_of(identification(), ("a gap of 0.6 s",))
+    (folder / "report.html").write_text(page, encoding="utf-8")
+    yield ["report.html"]
+
+
+#: What makes pages -> how.
+KINDS: dict[str, Maker] = {
+    "identify": of_commands("report.html view.html", "identify example:pendulum -o OUT"),
+    "verdicts": verdicts,
+    "efforts": of_commands(
+        "o/report.html o/view.html",
+        "init example:arm_torque example:arm_torque -o OUT/system",
+        "identify example:arm_torque --system OUT/system -o OUT/o",
+    ),
+    "mhe-replay": of_commands(
+        "report.html view.html", "mhe-replay example:pendulum -o OUT", "view OUT -o OUT/view.html"
+    ),
+    "run": of_commands(
+        "report.html",
+        "run --task t4 --set control.samples=5 --set control.horizon=8 --seconds 1.5 -o OUT",
+    ),
+    "probe": of_commands(
+        "report.html", "probe --system pendulum --seconds 3 --set probe.candidates=4 -o OUT"
+    ),
+    "compare": compare,
+    "audit": of_commands("report.html", "audit example:arm_torque example:arm_torque -o OUT"),
+    "check": of_commands(
+        "model.html log.html",
+        "check example:arm --page OUT/model.html",
+        "check example:arm_torque example:arm_torque --page OUT/log.html",
+    ),
+    "eval": study,
+    "watch": watch,
+    "notebook": notebook,
+}
+
+
+@pytest.fixture(scope="module")
+def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with browser(tmp_path_factory.mktemp("profile")) as one:
+        yield one
+
+
+@pytest.mark.slow
+@needs_chromium
+@pytest.mark.parametrize("kind", KINDS)
+def test_nothing_to_stumble_over(kind: str, chromium: Browser, tmp_path: Path) -> None:
+    with KINDS[kind](tmp_path) as pages:
+        for page, width, dark in product(pages, (1280, 390), (False, True)):
+            name = f"{Path(page).stem}-{width}-{'dark' if dark else 'light'}"
+            chromium.open("about:blank")
+            chromium.complaints.clear()
+            chromium.open(page if "://" in page else (tmp_path / page).as_uri(), width, 900, dark)
+            chromium.run(SETTLED)
+            picture = chromium.picture(tmp_path / f"{name}.png", whole=True)
+            found = [*chromium.run(FAULTS), *chromium.complaints]
+            assert found == [], f"see {picture}"
+            (back,) = chromium.run("[Math.max(...rgb('back'))]") if kind != "notebook" else [1.0 - dark]
+            assert (back < 0.5) is dark
+
+
+PLAIN = "<!doctype html><style>body {{ margin: 0; font: 16px sans-serif; background: #fff }}</style><p>{}</p>"
+#: A page with a fault -> what is said of it.
+WRONG = {
+    "all is well": "",
+    "<span style='color:#999'>pale</span>": "contrast 2.8: pale",
+    "<span style='opacity:.5'>faint</span>": "contrast 4.0: faint",
+    "<div style='width:900px'>wide</div>": "wider than the window: 900 of 390 px",
+    "<b style='position:absolute;top:0'>one</b><b style='position:absolute;top:2px'>two</b>": (
+        "on each other: one | two"
+    ),
+    "<p style='width:20px;overflow:hidden;white-space:nowrap'>cut here</p>": "cut off: cut here",
+    "<svg width=50 height=20><text x=30 y=15>tick</text></svg>": "outside its figure: tick",
+    "<figure class=plots></figure>": "an empty figure: plots",
+    "<div class=panel><svg><path d=''></svg>speed</div>": "an empty panel: speed",
+    "<canvas></canvas><script>document.querySelector('canvas').getContext('2d')</script>": "an empty scene: ",
+    "<script>setTimeout(() => nothing(), 0)</script>": "ReferenceError: nothing is not defined",
+}
+
+
+@pytest.mark.medium
+@needs_chromium
+def test_each_fault_is_seen(chromium: Browser, tmp_path: Path) -> None:
+    for html, told in WRONG.items():
+        (tmp_path / "wrong.html").write_text(PLAIN.format(html), encoding="utf-8")
+        chromium.complaints.clear()
+        chromium.open((tmp_path / "wrong.html").as_uri(), 390)
+        chromium.run(SETTLED)
+        found = [*chromium.run(FAULTS), *(line.partition("\n")[0] for line in chromium.complaints)]
+        assert found == ([told] if told else []), html
