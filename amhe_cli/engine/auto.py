@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sys
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
@@ -73,10 +74,15 @@ def step_cost(model: mujoco.MjModel) -> StepCost:
 
 T = TypeVar("T")
 
-#: The cards open in 3.1 s, in which the processor computes rollouts worth so much time by the table [s].
+#: Time that calls must save for the cards to be opened, which takes 3 s [s].
 START = 2.0
 #: Calls like the first large one that a command is expected to make.
 FOLLOWING = 10
+
+
+#: The longest that a thread which opens the cards has Python's lock where another one waits for it [s]; of
+#: Python's own 5 ms, rollouts on the CPU, which give the lock back and forth, would take twice as long.
+BRIEF = 2e-4
 
 
 def in_background(work: Callable[[], T]) -> Future[T]:
@@ -84,10 +90,14 @@ def in_background(work: Callable[[], T]) -> Future[T]:
     future: Future[T] = Future()
 
     def fill() -> None:
+        usual = sys.getswitchinterval()
+        sys.setswitchinterval(BRIEF)
         try:
             future.set_result(work())
         except BaseException as error:
             future.set_exception(error)
+        finally:
+            sys.setswitchinterval(usual)
 
     threading.Thread(target=fill, daemon=True).start()
     return future
@@ -100,36 +110,35 @@ class Opening:
         begin: Begins to open the cards, in the background.
     """
 
-    def __init__(self, begin: Callable[[], object]) -> None:
+    def __init__(self, begin: Callable[[], Future[Engine]]) -> None:
         self._begin = begin
-        #: What calls would have saved on the cards, and until these are open, once that has begun [s].
-        self._saved, self._left = 0.0, None
-        #: Whether a call has been computed there, and whether the cards have refused one.
-        self.done = self.refused = False
+        #: What calls would have saved on the cards [s], until these begin to open.
+        self._saved = 0.0
+        self._cards: Future[Engine] | None = None
+        #: Whether the cards have refused a call.
+        self.refused = False
+
+    @property
+    def done(self) -> bool:
+        """Whether the cards are open; kernels that were never compiled may take a minute."""
+        return self._cards is not None and self._cards.done()
 
     def takes(self, here: float, there: float) -> bool:
         """Whether the cards compute a call that takes so long on the processor, and on open cards [s]."""
-        if here > there and not self.refused:
-            if self._left is None:
-                self._saved += here - there
-                if self._saved + FOLLOWING * (here - there) < START:
-                    return False
-                self._begin()
-                self._left = START
-            if self.done or here >= self._left + there:
-                self.done = True
-                return True
-        if self._left is not None:
-            self._left -= here
-        return False
+        if here <= there or self.refused:
+            return False
+        if self._cards is None:
+            self._saved += here - there
+            if self._saved + FOLLOWING * (here - there) >= START:
+                self._cards = self._begin()
+        return self.done
 
 
 class AutoEngine:
     """The processor's engine, and that of the cards for calls that are large enough.
 
-    Which of them computes a call follows from its size and the table alone, so that results repeat on a
-    computer. The first call that is worth it begins to open the cards; until they are, by the table, the
-    processor computes on.
+    A call's size and the table say which of them is quicker. The first call that is worth it begins to open
+    the cards; until they are, the processor computes on.
 
     Args:
         cpu: The engine of the processor.

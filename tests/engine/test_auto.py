@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
+from concurrent.futures import Future
+from threading import Event
+from time import sleep
 from typing import Any
 
 import numpy as np
@@ -11,7 +15,15 @@ import pytest
 
 from amhe_cli.core.errors import NOTE, SimulationError
 from amhe_cli.engine import open as opening
-from amhe_cli.engine.auto import FEWEST, TABLE, AutoEngine, StepCost, step_cost
+from amhe_cli.engine.auto import (
+    BRIEF,
+    FEWEST,
+    TABLE,
+    AutoEngine,
+    StepCost,
+    in_background,
+    step_cost,
+)
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.open import open_engine
 from tests.engine.test_contract import CUBE, PENDULUM, clips, some
@@ -53,7 +65,18 @@ def cards(monkeypatch: pytest.MonkeyPatch) -> list[Cards]:
     monkeypatch.setattr(opening, "visible_cards", lambda: ["cuda:0"])
     monkeypatch.setattr(opening, "_gpu_engine", opens)
     monkeypatch.setattr("amhe_cli.engine.auto.START", 0.0)
+    monkeypatch.setattr(opening, "in_background", at_once)
     return opened
+
+
+def at_once(work: Callable[[], Any]) -> Future[Any]:
+    """What `in_background` gives, when the work is done."""
+    future: Future[Any] = Future()
+    try:
+        future.set_result(work())
+    except SimulationError as error:
+        future.set_exception(error)
+    return future
 
 
 def alike(count: int) -> Any:
@@ -96,6 +119,8 @@ def test_small_calls_go_to_the_processor_and_large_ones_to_the_cards(cards, capl
 
 
 def test_cards_open_once_that_is_worth_it_while_the_processor_computes_on(cards, monkeypatch) -> None:
+    ready: Future[Any] = Future()
+    monkeypatch.setattr(opening, "in_background", lambda work: ready.set_result(work()) or ready)
     engine = auto()
     large = alike(int(2.0 * engine.fewest))  # takes 1 on the cards, 2 on the processor
     each = 40 * step_cost(PENDULUM.model).on_card(1)
@@ -103,9 +128,32 @@ def test_cards_open_once_that_is_worth_it_while_the_processor_computes_on(cards,
     for _ in range(3):
         engine.rollout(*large)  # these calls and ten that are expected gain 13
     assert not cards
-    for _ in range(10):
+    monkeypatch.setattr(ready, "done", lambda: False)
+    for _ in range(5):
         engine.rollout(*large)
-    assert [len(one.calls) for one in cards] == [3], "seven calls of 2 while they opened for 13.5"
+    assert [one.calls for one in cards] == [[]], "they open"
+    monkeypatch.undo()
+    engine.rollout(*large)
+    assert [len(one.calls) for one in cards] == [1]
+
+
+def test_rollouts_do_not_wait_for_the_thread_that_opens_the_cards() -> None:
+    """It holds Python's lock, which each call of numpy's or MuJoCo's gives back and wants again."""
+    begun, end = Event(), Event()
+    usual = sys.getswitchinterval()
+
+    def busy() -> None:
+        begun.set()
+        while not end.is_set():
+            pass
+
+    future = in_background(busy)
+    begun.wait()
+    assert sys.getswitchinterval() == pytest.approx(BRIEF)
+    end.set()
+    future.result()
+    while sys.getswitchinterval() != usual:
+        sleep(0.001)
 
 
 def test_variants_of_a_model_share_the_cards(cards) -> None:
@@ -160,6 +208,7 @@ def test_mujoco_warp_is_loaded_when_a_call_is_worth_it(monkeypatch, caplog) -> N
     """It takes seconds; here it cannot be loaded at all."""
     monkeypatch.setattr("amhe_cli.engine.open.visible_cards", lambda: ["cuda:0"])
     monkeypatch.setitem(sys.modules, "amhe_cli.engine.gpu.card", None)
+    monkeypatch.setattr(opening, "in_background", at_once)
     monkeypatch.setattr("amhe_cli.engine.auto.START", 0.0)
     caplog.set_level(NOTE, "amhe_cli")
     engine = auto()

@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
+import mujoco_warp as mjw
 import numpy as np
 import pytest
+import warp as wp
 
 import amhe_cli as amhe
 from amhe_cli.cli.main import run
@@ -21,11 +23,11 @@ from amhe_cli.core.errors import SimulationError
 from amhe_cli.engine.auto import FEWEST, StepCost
 from amhe_cli.engine.gpu import card
 from amhe_cli.engine.gpu import engine as engine_module
-from amhe_cli.engine.gpu.blueprint import Room
+from amhe_cli.engine.gpu.blueprint import Blueprint, Room
 from amhe_cli.engine.gpu.card import Card
 from amhe_cli.engine.gpu.engine import GpuEngine
 from amhe_cli.engine.gpu.job import joined, queues
-from amhe_cli.engine.gpu.worlds import Worlds
+from amhe_cli.engine.gpu.worlds import Worlds, load_together
 from amhe_cli.engine.open import open_engine, shared_cards
 from amhe_cli.engine.rollout import Starts, Wanted
 from amhe_cli.estimation.offline import search
@@ -118,6 +120,24 @@ def test_no_clip_waits_to_save_worlds_that_a_card_steps_anyway() -> None:
     assert queues(lengths[:3], few, dear).tolist() == [[0, -1], [2, 1]], "no longer than the longest"
 
 
+def test_all_modules_that_a_step_needs_are_loaded_side_by_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A first launch without effect finds them; a second one loads nothing more."""
+    blueprint = Blueprint.of(CUBE.model, CUBE.edits, CUBE.input_spec, False)
+    model, data = mjw.put_model(blueprint.model), mjw.make_data(blueprint.model, nworld=16)
+    kind, loaded = type(wp.get_module("any")), []
+    load = kind.load
+    monkeypatch.setattr(kind, "load", lambda self, *given: loaded.append(self) or load(self, *given))
+    device = wp.get_device("cpu")
+    load_together(device, lambda: mjw.step(model, data))
+    assert not data.time.numpy().any()
+    assert len(loaded) == len(set(loaded)) > 10
+    together = set(loaded)
+    with wp.ScopedDevice(device):
+        mjw.step(model, data)
+    assert set(loaded) == together
+    assert data.time.numpy().all()
+
+
 def test_several_cards_share_a_prediction(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine_module, "LEAST", 4)
     arguments = call(PENDULUM)
@@ -205,9 +225,20 @@ def test_turns_get_smaller_where_the_memory_is_full(
     most = 8
     np.testing.assert_array_equal(to_host(on(PENDULUM).predict(*arguments).values[0]), to_host(expected))
     assert asked[0] > most >= max(asked[-3:])
-    most = 0
-    with pytest.raises(SimulationError, match="^the graphics card has too little free memory; take"):
+    most, little = 0, "^the graphics card has too little free memory; take"
+    with pytest.raises(SimulationError, match=little):
         on(PENDULUM).predict(*arguments)
+    engine = on(PENDULUM)
+
+    def refuses(*arguments: Any, **named: Any) -> None:
+        raise error
+
+    monkeypatch.setattr(card, "Worlds", refuses)
+    with pytest.raises(SimulationError, match=little):
+        engine.load()
+    monkeypatch.setattr("mujoco_warp.put_model", refuses)
+    with pytest.raises(SimulationError, match=little):
+        on(PENDULUM)
 
 
 def test_an_estimate_is_that_of_the_processor() -> None:

@@ -79,6 +79,7 @@ class Card:
         #: Part of the share of memory that is asked for, less where it was refused.
         self.part = 1.0
         self._kept: dict[int, Worlds] = {}
+        self._loaded = False
         self._bytes: dict[Room, int] = {}
 
     @property
@@ -113,7 +114,7 @@ class Card:
 
     def follow(self, other: Card) -> None:
         """Begin with what has proved right upon another model of this layout."""
-        self.part, self.room = other.part, other.room
+        self.part, self.room, self._loaded = other.part, other.room, other._loaded
 
     def load(self) -> None:
         """Load the kernels, and those that were never compiled for this model compile."""
@@ -149,7 +150,8 @@ class Card:
         if worlds is None:
             while len(self._kept) >= KEPT:
                 del self._kept[next(iter(self._kept))]
-            worlds = Worlds(self.blueprint, size, self.room, self._device)
+            worlds = Worlds(self.blueprint, size, self.room, self._device, loaded=self._loaded)
+            self._loaded = True
         self._kept[size] = worlds  # the last used is the last to go
         return worlds
 

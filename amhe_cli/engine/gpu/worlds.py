@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -32,7 +34,7 @@ INPUTS = (
 PREPARING = Lock()
 
 
-def captured(device: Any, launches: Callable[[], None]) -> Callable[[], None]:
+def captured(device: Any, launches: Callable[[], object]) -> Callable[[], None]:
     """A function that runs the launches as one CUDA graph; without a card it makes them one by one."""
     if device.is_cuda:
         with wp.ScopedDevice(device), wp.ScopedCapture() as capture:
@@ -45,6 +47,30 @@ def captured(device: Any, launches: Callable[[], None]) -> Callable[[], None]:
             launches()
 
     return again
+
+
+def load_together(device: Any, launches: Callable[[], object]) -> None:
+    """Load the modules of all kernels that launches need, and compile those that never were, side by side.
+
+    Warp loads a module when a kernel of it is first launched, one after the other, which takes a minute where
+    all must be compiled. So the launches are made once without effect, to see what they need: warp launches
+    nothing from a module that it could not load.
+    """
+    kind: Any = type(wp.get_module(__name__))
+    load, needed = kind.load, {}
+
+    def note(module: Any, device: Any, block_dim: int | None = None) -> None:
+        needed[module, block_dim] = None
+
+    kind.load = note
+    try:
+        with wp.ScopedDevice(device), wp.ScopedCapture():
+            launches()
+    finally:
+        kind.load = load
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        for loaded in [threads.submit(load, module, device, block_dim) for module, block_dim in needed]:
+            loaded.result()
 
 
 class _Launch:
@@ -95,9 +121,12 @@ class Worlds:
         count: Number of worlds.
         room: Buffers of each.
         device: Warp's name of the device.
+        loaded: The kernels of such worlds have been loaded.
     """
 
-    def __init__(self, blueprint: Blueprint, count: int, room: Room, device: str) -> None:
+    def __init__(
+        self, blueprint: Blueprint, count: int, room: Room, device: str, *, loaded: bool = False
+    ) -> None:
         self.count, self.room = count, room
         self._blueprint, self._device = blueprint, wp.get_device(device)
         self._xp = _namespace(self._device)
@@ -109,8 +138,11 @@ class Worlds:
             model.opt.deterministic = mjw.DeterminismType.CONTACTS | mjw.DeterminismType.CONSTRAINT
             self._place, self.clock = (wp.zeros(count, dtype=int) for _ in range(2))
             self._begins = wp.zeros(count, dtype=bool)
-            self.step = captured(self._device, lambda: mjw.step(model, data))
-            self._reset = captured(self._device, lambda: mjw.reset_data(model, data, self._begins))
+            step, reset = (lambda: mjw.step(model, data)), (lambda: mjw.reset_data(model, data, self._begins))
+            derive = (lambda: mjw.set_const(model, data, restore=False)) if blueprint.derives else reset
+            if self._device.is_cuda and not loaded:
+                load_together(self._device, lambda: [each() for each in (step, reset, derive)])
+            self.step, self._reset, self._derive = (captured(self._device, e) for e in (step, reset, derive))
             if blueprint.gear is not None:
                 self._dry = wp.zeros_like(model.dof_frictionloss)
                 self._of_gears = wp.zeros((count, *blueprint.gear.at.shape), dtype=float)
@@ -118,8 +150,6 @@ class Worlds:
                 self._forces = captured(self._device, lambda: _forces(model, data))
             if blueprint.servos is not None:
                 self._of_servos = wp.zeros((count, *blueprint.servos.at.shape), dtype=float)
-            if blueprint.derives:
-                self._derive = captured(self._device, lambda: mjw.set_const(model, data, restore=False))
         self._model, self._data = model, data
         self._written: tuple[Mapping[str, FloatArray], IntArray] = ({}, np.empty(0, dtype=np.int64))
 
