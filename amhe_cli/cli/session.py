@@ -207,15 +207,20 @@ def _listener(session: Session) -> Handler:
     import logging  # not at the top: --help needs none
 
     class Listener(logging.Handler):
+        def __init__(self) -> None:
+            super().__init__()
+            self.said: set[str] = set()  # each is said once
+
         def emit(self, record: logging.LogRecord) -> None:
             text = in_options(record.getMessage(), session.options)
             if record.levelno >= logging.WARNING:
                 if session.listed is not None:
                     session.listed.append(text)
                     return
-                if text in session.warnings:
-                    return
-                session.warnings.append(text)
+                session.warnings += [text] * (text not in session.warnings)
+            if text in self.said:
+                return
+            self.said.add(text)
             kind = "note" if record.levelno == NOTE else record.levelname.lower()
             session.say(kind, printable(text))
 

@@ -21,7 +21,7 @@ from amhe_cli.report.identification import held_out_line
 from amhe_cli.report.identification_page import overlay_section
 from amhe_cli.report.missing import missing_record, missing_section
 from amhe_cli.report.page import Section, Statement, result_page
-from amhe_cli.report.tables import NUMBER, STRONG, Table
+from amhe_cli.report.tables import NUMBER, STRONG, VERDICT, Table
 from amhe_cli.system.export.mjcf import identified_assets, identified_xml, with_comments
 from amhe_cli.system.export.urdf import identified_urdf
 from amhe_cli.system.model.urdf import is_urdf
@@ -40,15 +40,14 @@ def audit_table(lines: Sequence[Line]) -> Table:
         says = judged or line.sd < abs(line.file)
         rows.append(
             (
-                line.of, line.what, f"{line.file:.4g}",
-                numbers.with_sd(line.log, line.sd) if says else numbers.MISSING,
+                line.of, line.what, f"{line.verdict}: {abs(line.t):.1f} sd" if judged else line.verdict,
+                f"{line.file:.4g}", numbers.with_sd(line.log, line.sd) if says else numbers.MISSING,
                 numbers.unit_of(line.unit),
-                f"{line.verdict}: {abs(line.t):.1f} sd" if judged else line.verdict,
                 numbers.percent(line.weight) if wrong else "",
             )
         )  # fmt: skip
-    head = ("part", "number", "in the file", "in the log", "unit", "verdict", "of the forces")
-    return Table(head, ("", "", NUMBER, STRONG, "", "", NUMBER), rows, [line.cure for line in lines])
+    head = ("part", "number", "verdict", "in the file", "in the log", "unit", "of the forces")
+    return Table(head, ("", "", VERDICT, NUMBER, STRONG, "", NUMBER), rows, [line.cure for line in lines])
 
 
 def audit_text(lines: Sequence[Line], found: Audit | None, out: object = None) -> Iterator[str]:
@@ -149,6 +148,7 @@ def _taken(lines: Sequence[Line], chosen: Sequence[str]) -> list[Line]:
 
 def _page(found: Audit, model: Path, record: Mapping[str, Any], origin: Mapping[str, Any]) -> str:
     wrong = [line for line in found.lines if line.verdict == VERDICTS[0]]
+    untold = [line for line in found.lines if line.verdict == VERDICTS[2]]
     statements = [
         Statement(
             "bad",
@@ -164,7 +164,18 @@ def _page(found: Audit, model: Path, record: Mapping[str, Any], origin: Mapping[
             text="In the log: what it says of a number whatever the file says of it, with all other numbers "
             "as their data sheets have them. Contradicted: 5 % of right files have such a verdict by chance. "
             "Of the forces: what the difference is worth, as a share of the joints' forces along the motion.",
-            table=audit_table(found.lines),
+            table=audit_table([line for line in found.lines if line not in untold]),
+        ),
+        *(
+            [
+                Section(
+                    f"{len(untold)} numbers that these logs cannot tell",
+                    table=audit_table(untold),
+                    folded=True,
+                )
+            ]
+            if untold
+            else []
         ),
         *([missing_section(found.found.missing)] if found.found.missing else []),
         *([overlay_section(found.found.fits)] if found.found.fits else []),

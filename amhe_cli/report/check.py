@@ -16,8 +16,9 @@ from amhe_cli.estimation.core.result import ParameterResult
 from amhe_cli.estimation.design.expected import Expected
 from amhe_cli.report import numbers
 from amhe_cli.report.page import Section, Statement, page
-from amhe_cli.report.tables import NUMBER, TEXT, Table, rich_table
+from amhe_cli.report.tables import NUMBER, TEXT, VERDICT, Table, rich_table
 from amhe_cli.system.system import System
+from amhe_cli.web.plots import shown_unit
 
 #: Findings that a terminal lists, alone and before a fit, and combinations.
 _LISTED, _FEW, _TOGETHER = 20, 3, 4
@@ -162,26 +163,27 @@ def _doubts(count: int) -> str:
 
 
 def _table(rows: Any) -> Table:
-    return Table(("where", "what", "what would cure it"), ("", TEXT, TEXT), [*rows])
+    return Table(("where", "what", "what would cure it"), (TEXT, TEXT, TEXT), [*rows])
 
 
 def _motion_table(moved: Sequence[JointMotion]) -> Table:
-    rows = [
-        (
-            one.joint, f"{one.low:.3g} to {one.high:.3g} {one.unit}",
-            "" if one.share is None else numbers.percent(one.share), f"{one.speed:.3g} {one.unit}/s",
-            "" if one.band is None else f"{one.band:.2g} Hz",
-        )
-        for one in moved
-    ]  # fmt: skip
+    rows = []
+    for one in moved:
+        factor, unit = shown_unit(one.unit)
+        low, high, speed = (f"{factor * value:.3g}" for value in (one.low, one.high, one.speed))
+        share = "" if one.share is None else numbers.percent(one.share)
+        band = "" if one.band is None else f"{one.band:.2g} Hz"
+        rows.append((one.joint, f"{low} to {high} {unit}", share, f"{speed} {unit}/s", band))
     return Table(("joint", "moves", "of its range", "speed", "up to"), ("", *[NUMBER] * 4), rows)
 
 
 def _expected_table(hope: Expected) -> Table:
-    rows = [(p.name, f"{p.prior:.3g}", numbers.unit_of(p.unit), _size(p), p.verdict) for p in hope.parameters]
-    looks = ("", NUMBER, "", NUMBER, "")
+    rows = [
+        (p.name, p.verdict, _size(p), numbers.quantity(f"{p.prior:.3g}", p.unit)) for p in hope.parameters
+    ]
+    looks = ("name", VERDICT, NUMBER, NUMBER)
     remarks = [_why(hope, p).replace("`", "") for p in hope.parameters]
-    return Table(("parameter", "prior", "unit", "expected sd", "verdict"), looks, rows, remarks)
+    return Table(("parameter", "verdict", "expected sd", "prior"), looks, rows, remarks)
 
 
 def _together(hope: Expected) -> list[str]:

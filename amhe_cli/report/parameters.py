@@ -14,7 +14,7 @@ from amhe_cli.estimation.core.result import VERDICTS, Identification, ParameterR
 from amhe_cli.estimation.uncertainty.ledger import KINDS, LEAST
 from amhe_cli.report import figures, numbers
 from amhe_cli.report.page import Section, cell
-from amhe_cli.report.tables import NUMBER, STRONG, Table
+from amhe_cli.report.tables import NUMBER, STRONG, VERDICT, Table
 
 #: Half-width of the strip that shows prior and posterior side by side, in prior sd.
 STRIP = 2.5
@@ -57,7 +57,7 @@ def _parameter_table(
     rows = [
         (
             p.name,
-            cell("verdict", p.verdict),
+            p.verdict,
             numbers.quantity(numbers.with_sd(p.estimate, p.sd), p.unit),
             numbers.interval(p.lower, p.upper),
             numbers.with_sd(p.prior, p.prior_sd),
@@ -75,7 +75,7 @@ def _parameter_table(
         "prior and posterior",
         "shrinkage",
     )
-    looks = ("name", "", STRONG, NUMBER, f"{NUMBER} soft", "spare", NUMBER)
+    looks = ("name", VERDICT, STRONG, NUMBER, f"{NUMBER} soft", "spare", NUMBER)
     return Table(head, looks, rows, [_remark(p, truth, common) for p, _ in known])
 
 

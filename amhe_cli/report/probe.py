@@ -161,7 +161,7 @@ def _sections(log: Path, system: System, record: Mapping[str, Any]) -> Iterator[
         (part["name"], f"{part['start']:g}", f"{part['seconds']:g}", part["title"])
         for part in record["sequence"]
     ]
-    looks = ("name", NUMBER, NUMBER, "soft wrap")
+    looks = ("name", NUMBER, NUMBER, "soft text")
     yield Section("Motions", table=Table(("motion", "start [s]", "lasts [s]", ""), looks, rows))
     if tried := record.get("tried"):
         most = max(one["sd_over_prior"] for one in tried)

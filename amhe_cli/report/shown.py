@@ -92,7 +92,7 @@ def _of_log(log: Log) -> Iterator[Section]:
         for key, one in log.series.items()
     ]
     head = ("series", "measured", "without gaps", "values", "unit", "columns")
-    table = Table(head, ("name", NUMBER, NUMBER, NUMBER, "unit", "soft wrap"), rows)
+    table = Table(head, ("name", NUMBER, NUMBER, NUMBER, "unit", "soft text"), rows)
     yield Section(Path(log.source).name, text=" · ".join(about), table=table, figure=log_figure(log))
 
 
@@ -109,7 +109,7 @@ def _of_system(system: System) -> Iterator[Section]:
     ]  # fmt: skip
     head = ("parameter", "nominal", "unit", "90 % of the prior", "bounds", "sets")
     fixed = f"Taken as known: {numbers.named(system.fixed)}." if system.fixed else ""
-    looks = ("name", STRONG, "unit", NUMBER, f"{NUMBER} soft", "soft wrap")
+    looks = ("name", STRONG, "unit", NUMBER, f"{NUMBER} soft", "soft text")
     yield Section(system.name, table=Table(head, looks, rows), note=fixed)
     signals = [
         (
@@ -118,7 +118,7 @@ def _of_system(system: System) -> Iterator[Section]:
         )
         for one in system.signals
     ]  # fmt: skip
-    looks = ("name", "", "name", "", "soft wrap")
+    looks = ("name", "", "name", "", "soft text")
     yield Section("Signals", table=Table(("signal", "", "topic", "quantities", "entries"), looks, signals))
 
 

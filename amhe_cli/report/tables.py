@@ -18,6 +18,8 @@ from amhe_cli.core.errors import printable
 NUMBER = "number"
 #: Look of the numbers that matter most.
 STRONG = "number strong"
+#: Look of verdicts: on a page a chip in the colour of the text up to a colon.
+VERDICT = "judged"
 #: A look of sentences, which may take several lines of a terminal.
 TEXT = "text"
 

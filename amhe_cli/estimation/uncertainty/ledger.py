@@ -179,7 +179,7 @@ def size(space: ParameterSpace, i: int, dz: float) -> str:
     """A step in z in words: a percentage for log-scaled parameters, in the unit for linear ones."""
     p = space.parameters[i]
     if not p.log:
-        return f"{dz * p.prior_sd:+.2g} {p.unit}"
+        return f"{dz * p.prior_sd:+.2g} {p.unit}".removesuffix(" -")
     percent = 100.0 * np.expm1(dz * p.prior_sd)
     return f"{percent:+.0f}%" if abs(percent) >= 1.0 else f"{percent:+.1g}%"
 
