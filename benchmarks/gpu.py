@@ -4,7 +4,8 @@
     python benchmarks/gpu.py --fits gpu,auto [--problems arm,tosses,feet]   # whole commands, beside the cpu's
 
 "bare" replays the captured step of mujoco-warp on the same worlds under the same inputs, with a clock,
-and nothing else. The CPU beside it evaluates the same cost of fewer candidates with all cores. Steps that a
+and nothing else; "alone" is that step and nothing else, of which no world waits for another. "Busy" is the
+share of the worlds' steps that clips asked for. The CPU beside it evaluates the same cost of fewer candidates with all cores. Steps that a
 world makes while it waits for others do not count.
 """
 
@@ -38,8 +39,8 @@ from amhe_cli.system.system import System
 
 CLIPS = 16
 JOINTS = 12
-#: Steps of a bootstrap refit.
-STEPS = 9
+#: Steps by which a step alone is timed.
+ALONE = 200
 
 
 def go1_push() -> tuple[System, list[Log]]:
@@ -214,8 +215,18 @@ def speed(name: str, rollouts: int, device: str, cores: int) -> list[str]:
         wp.synchronize_device(device)
         return time.perf_counter() - start
 
+    def alone() -> float:
+        start = time.perf_counter()
+        for _ in range(ALONE):
+            set_.step()
+        wp.synchronize_device(device)
+        return (time.perf_counter() - start) / (ALONE * set_.count)
+
     bare()
-    alone = float(np.median([bare() for _ in range(3)]))
+    job_steps = job.ends[:, -1]
+    busy = steps / float(job_steps.max() * set_.count)
+    step = 1.0 / float(np.median([alone() for _ in range(3)]))
+    bare_seconds = float(np.median([bare() for _ in range(3)]))
     beside = matching(system, logs, open_engine(system, threads=cores))
     few = z[: max(1, min(len(z), 1024 // CLIPS))]
     host = timed(lambda: beside.costs(few))
@@ -223,7 +234,8 @@ def speed(name: str, rollouts: int, device: str, cores: int) -> list[str]:
     memory = bytes_per_world(card.blueprint, set_.room, device)
     return [
         name, f"{rollouts:,}", f"{set_.count:,}",
-        f"{steps / alone / 1e6:.2f} M", f"{steps / full / 1e6:.2f} M", f"{alone / full:.2f}",
+        f"{step / 1e6:.2f} M", f"{busy:.2f}", f"{steps / bare_seconds / 1e6:.2f} M", f"{steps / full / 1e6:.2f} M",
+        f"{bare_seconds / full:.2f}", f"{steps / full / step:.2f}",
         f"{cpu / 1e6:.3f} M", f"{steps / full / cpu:.1f}x", f"{memory / 1024:.0f} KiB", f"{first:.1f} s",
         f"{set_.room.contacts}/{set_.room.rows}",
     ]  # fmt: skip
@@ -317,7 +329,8 @@ def main() -> None:
     show(
         f"Matching cost on {wp.get_device(asked.device).name}, {asked.cores} CPU cores beside it",
         (
-            "system", "rollouts", "worlds", "bare steps/s", "cost steps/s", "cost/bare", "CPU cost", "faster",
+            "system", "rollouts", "worlds", "alone", "busy", "bare steps/s", "cost steps/s", "cost/bare", "cost/alone",
+            "CPU cost", "faster",
             "a world", "first", "room",
         ),
         lines,

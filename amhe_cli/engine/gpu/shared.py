@@ -9,17 +9,18 @@ No search waits for another one, but for the run that is going on.
 from __future__ import annotations
 
 import os
+import pickle
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cache, cached_property
+from functools import cache
 from multiprocessing import current_process, get_context
 from multiprocessing.connection import Client, Connection, Listener
 from pathlib import Path
 from threading import Condition, Lock, Thread
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,8 +30,13 @@ from amhe_cli.engine.gpu.blueprint import Blueprint
 from amhe_cli.engine.gpu.job import Job, NoRoomError, joined
 from amhe_cli.engine.rollout import Predicted
 
+if TYPE_CHECKING:
+    from amhe_cli.engine.gpu.card import Card
+
 #: Blueprints of which the worlds are kept on a card.
 KEPT = 12
+#: Rollouts that one process asks for at once.
+MOST = 8192
 
 
 @contextmanager
@@ -71,35 +77,35 @@ class SharedCard:
         SimulationError: mujoco-warp cannot simulate the model, or the other process is gone.
     """
 
-    memory, part = 0, 1.0
+    memory = 0
 
     def __init__(self, blueprint: Blueprint, address: str) -> None:
-        self._line, self._name = _line(address, os.getpid()), blueprint.name
-        self._line.ask("open", self._name, blueprint.packed)
-        self._at_once: dict[int, int] = {}
+        self._line, self._name, self._most = _line(address, os.getpid()), blueprint.name, MOST
+        self._line.ask(self._name, blueprint.packed)
+
+    @property
+    def part(self) -> float:
+        """See `Card.part`."""
+        return self._most / MOST
 
     def run(self, job: Job) -> Predicted:
         """See `Card.run`."""
-        completed, values = self._line.ask("run", self._name, job)
+        completed, values = self._line.ask(self._name, job)
         return Predicted(tuple(each.astype(np.float64) for each in values), completed)
 
     def at_once(self, record: int) -> int:
-        """See `Card.at_once`."""
-        if record not in self._at_once:
-            self._at_once[record] = self._line.ask("at_once", self._name, record)
-        return self._at_once[record]
+        """See `Card.at_once`; no more than what others wait for."""
+        return self._most
 
     def narrow(self) -> None:
         """See `Card.narrow`."""
-        self.part *= 0.5
-        self._at_once.clear()
-        self._line.ask("narrow", self._name, None)
+        self._most //= 2
 
     def follow(self, other: SharedCard) -> None:
         """See `Card.follow`; the other process sees to it."""
 
     def load(self) -> None:
-        """See `Card.load`; the other process sees to it."""
+        """See `Card.load`; likewise."""
 
 
 class _Line:
@@ -136,16 +142,16 @@ def _line(address: str, process: int) -> _Line:
 
 @dataclass(frozen=True, eq=False)
 class _Asked:
-    """A question that waits for its answer; runs of one kind are answered together."""
+    """A question that waits for its answer: to begin with a blueprint, which is packed, or to run a job."""
 
-    verb: str
     name: str
-    about: Any
+    about: bytes | Job
     answer: Future[Any] = field(default_factory=Future)
 
-    @cached_property
+    @property
     def kind(self) -> object:
-        return (self.name, self.about.picks) if self.verb == "run" else self
+        """Questions of one kind are answered together."""
+        return (self.name, self.about.picks) if isinstance(self.about, Job) else self
 
 
 def _serve(address: str, devices: list[str], tell: Connection) -> None:
@@ -185,18 +191,25 @@ class _Desk:
     def put(self, asked: _Asked) -> None:
         """A new question."""
         with self._change:
-            if asked.verb == "open":
+            if isinstance(asked.about, bytes):
                 self._packed[asked.name] = asked.about
             self._waiting.append(asked)
             self._change.notify()
 
     def work(self, device: str) -> None:
         """Answer questions with one card, as long as the process lives."""
-        cards: dict[str, Any] = {}
+        from amhe_cli.engine.gpu.card import Card  # which takes seconds to load
+
+        cards: dict[str, Card] = {}
         while True:
             some = self._next()
+            name = some[0].name
             try:
-                self._answer(some, self._card(cards, some[0].name, device))
+                card = cards.pop(name, None) or Card(pickle.loads(self._packed[name]), device, coarse=True)
+                cards[name] = card  # the last used is the last to go
+                if len(cards) > KEPT:
+                    del cards[next(iter(cards))]
+                _answer(some, card)
             except Exception as error:
                 for asked in some:
                     if not asked.answer.done():
@@ -211,57 +224,31 @@ class _Desk:
             self._waiting = [asked for asked in self._waiting if asked.kind != kind]
         return some
 
-    def _card(self, cards: dict[str, Any], name: str, device: str) -> Any:
-        """The worlds of a blueprint on a card; the last used are the last to go."""
-        import pickle
 
-        from amhe_cli.engine.gpu.card import Card
+def _answer(some: Sequence[_Asked], card: Card) -> None:
+    """Answer questions of one kind: jobs with as few runs of a card's worlds as it has room for."""
+    asked = [(one, one.about) for one in some if isinstance(one.about, Job)]
+    if not asked:
+        some[0].answer.set_result(None)
+        return
+    wanted = zip(*(job.wanted for _, job in asked), strict=True)
+    record = sum(8 * max(one.rows.shape[1] for one in each) * len(each[0].columns) for each in wanted)
+    most, sizes = card.at_once(record), np.cumsum([len(job.clip) for _, job in asked])
+    for number in np.unique(sizes // most):
+        part = [asked[i] for i in np.flatnonzero(sizes // most == number)]
+        try:
+            _run(part, card)
+        except NoRoomError:
+            for one in part:
+                _run([one], card)
 
-        card = cards.pop(name, None)
-        if card is None:
-            while len(cards) >= KEPT:
-                del cards[next(iter(cards))]
-            card = Card(pickle.loads(self._packed[name]), device, coarse=True)
-        cards[name] = card
-        return card
 
-    def _answer(self, some: list[_Asked], card: Any) -> None:
-        verb, about = some[0].verb, some[0].about
-        if verb != "run":
-            some[0].answer.set_result({"open": lambda: None, "at_once": lambda: card.at_once(about),
-                                       "narrow": card.narrow}[verb]())  # fmt: skip
-            return
-        record = sum(8 * rows * len(columns) for rows, columns in self._widths(some))
-        most = card.at_once(record)
-        while some:
-            count, part = 0, []
-            while some and (not part or count + len(some[0].about.clip) <= most):
-                part.append(some.pop(0))
-                count += len(part[-1].about.clip)
-            try:
-                self._run(part, card)
-            except NoRoomError:
-                if len(part) == 1:
-                    raise
-                for asked in part:
-                    self._run([asked], card)
-
-    @staticmethod
-    def _widths(some: list[_Asked]) -> Iterator[tuple[int, tuple[int, ...]]]:
-        """Samples and columns of the numbers that questions want."""
-        for each in zip(*(asked.about.wanted for asked in some), strict=True):
-            yield max(one.rows.shape[1] for one in each), each[0].columns
-
-    @staticmethod
-    def _run(part: list[_Asked], card: Any) -> None:
-        """Answer some questions with one run of a card's worlds."""
-        done, at = card.run(joined([asked.about for asked in part])), 0
-        single = [each.astype(np.float32) for each in done.values]
-        for asked in part:
-            rows = slice(at, at + len(asked.about.clip))
-            at = rows.stop
-            values = [
-                to_host(each[rows, : wanted.rows.shape[1]])
-                for each, wanted in zip(single, asked.about.wanted, strict=True)
-            ]
-            asked.answer.set_result((done.completed[rows], values))
+def _run(part: Sequence[tuple[_Asked, Job]], card: Card) -> None:
+    """Answer jobs with one run of a card's worlds; numbers go in single precision, as they are."""
+    done, at = card.run(joined([job for _, job in part])), 0
+    single = [each.astype(np.float32) for each in done.values]
+    for asked, job in part:
+        rows, at = slice(at, at + len(job.clip)), at + len(job.clip)
+        pairs = zip(single, job.wanted, strict=True)
+        values = [to_host(each[rows, : wanted.rows.shape[1]]) for each, wanted in pairs]
+        asked.answer.set_result((done.completed[rows], values))
