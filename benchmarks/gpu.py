@@ -5,8 +5,8 @@
 
 "bare" replays the captured step of mujoco-warp on the same worlds under the same inputs, with a clock,
 and nothing else; "alone" is that step and nothing else, of which no world waits for another. "Busy" is the
-share of the worlds' steps that clips asked for. The CPU beside it evaluates the same cost of fewer candidates with all cores. Steps that a
-world makes while it waits for others do not count.
+share of the worlds' steps that clips asked for. The CPU beside it evaluates the same cost of fewer candidates
+with all cores. Steps that a world makes while it waits for others do not count.
 """
 
 from __future__ import annotations
@@ -234,7 +234,8 @@ def speed(name: str, rollouts: int, device: str, cores: int) -> list[str]:
     memory = bytes_per_world(card.blueprint, set_.room, device)
     return [
         name, f"{rollouts:,}", f"{set_.count:,}",
-        f"{step / 1e6:.2f} M", f"{busy:.2f}", f"{steps / bare_seconds / 1e6:.2f} M", f"{steps / full / 1e6:.2f} M",
+        f"{step / 1e6:.2f} M", f"{busy:.2f}",
+        f"{steps / bare_seconds / 1e6:.2f} M", f"{steps / full / 1e6:.2f} M",
         f"{bare_seconds / full:.2f}", f"{steps / full / step:.2f}",
         f"{cpu / 1e6:.3f} M", f"{steps / full / cpu:.1f}x", f"{memory / 1024:.0f} KiB", f"{first:.1f} s",
         f"{set_.room.contacts}/{set_.room.rows}",
@@ -329,7 +330,8 @@ def main() -> None:
     show(
         f"Matching cost on {wp.get_device(asked.device).name}, {asked.cores} CPU cores beside it",
         (
-            "system", "rollouts", "worlds", "alone", "busy", "bare steps/s", "cost steps/s", "cost/bare", "cost/alone",
+            "system", "rollouts", "worlds", "alone", "busy", "bare steps/s", "cost steps/s",
+            "cost/bare", "cost/alone",
             "CPU cost", "faster",
             "a world", "first", "room",
         ),
