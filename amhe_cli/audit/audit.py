@@ -20,8 +20,9 @@ from amhe_cli.core.parameters import ParameterSpace, theta_of
 from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.core.statistics import correlation
 from amhe_cli.core.yaml_file import merged
+from amhe_cli.estimation.conclude import Search
 from amhe_cli.estimation.core.result import Identification, Iteration
-from amhe_cli.estimation.identification import IdentifyOptions, Search, concluded, searched_for
+from amhe_cli.estimation.identification import IdentifyOptions, concluded, searched_for
 from amhe_cli.estimation.uncertainty.misfit import unexplained
 from amhe_cli.init.folder import Proposal
 from amhe_cli.system.system import System
@@ -256,7 +257,7 @@ def _far_off(search: Search, claims: Sequence[Claim], known: Collection[Group]) 
     not help.
     """
     problem, space, at = search.problem, search.problem.system.space, search.finding.z
-    if not unexplained(problem.system, search.fit):
+    if not unexplained(search.fit):
         return [], search
     moved: list[tuple[Group, FloatArray]] = []
     rows = _rows(problem.system, claims)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from amhe_cli.estimation.core.result import ClipCount, HeldOut, Identification, 
 from amhe_cli.estimation.explain.explain import explain
 from amhe_cli.estimation.offline.cma import CmaState
 from amhe_cli.estimation.offline.problem import Problem
-from amhe_cli.estimation.offline.search import SETTLED, SearchState
+from amhe_cli.estimation.offline.search import SETTLED, SearchState, restart
 from amhe_cli.estimation.offline.watch import Watch
 from amhe_cli.estimation.uncertainty import terms
 from amhe_cli.estimation.uncertainty.assumed import assumed
@@ -29,7 +30,6 @@ from amhe_cli.estimation.uncertainty.fit import (
     FinalFit,
     Finding,
     doubled_prior,
-    doubled_step,
     final_fit,
 )
 from amhe_cli.estimation.uncertainty.hierarchy import WithMeans, with_common_means
@@ -44,7 +44,7 @@ from amhe_cli.estimation.uncertainty.misfit import (
     report_unsettled,
     unexplained,
 )
-from amhe_cli.estimation.uncertainty.parts import REFITS, each_log, estimates, parts, report_drift
+from amhe_cli.estimation.uncertainty.parts import REFITS, estimates, parts, report_drift
 from amhe_cli.estimation.uncertainty.verdicts import Evidence, verdicts
 from amhe_cli.estimation.validation.held_out import fits, judge, profiles, validate, with_own_values
 from amhe_cli.estimation.validation.horizon import HORIZONS, STARTS, horizon_errors
@@ -58,42 +58,57 @@ PARTS, RESERVE = 10, 3
 STEPS = 2
 
 
-def conclude(
-    problem: Problem,
-    finding: Finding,
-    fit: FinalFit,
-    validation: list[Window],
-    watch: Watch,
-    model: ParameterSpace,
-    *,
-    quick: bool = False,
-) -> Identification:
-    """All results of a finished, or interrupted, search.
+@dataclass(frozen=True, eq=False)
+class Search:
+    """A search that ended.
 
     Args:
-        problem: The problem that was searched.
-        finding, fit: Result of the search, and the linearisation there.
+        problem, finding: The problem and where the search ended.
         validation: Clips that were not fitted.
-        watch: Shows progress, and decides for which of the slow checks there is time: held-out clips from
-            fitted first states, the comparison of the logs' halves, what rests on assumed values, a second
-            minimum, profiles. After an interruption there is for none.
+        watch: Shows progress of what follows, and has the time that is left.
         model: Parameters of the model, with their prior; logs may have values of their own of some.
-        quick: Halves of the logs have no searches of their own.
     """
-    system = problem.system
+
+    problem: Problem
+    finding: Finding
+    validation: list[Window]
+    watch: Watch
+    model: ParameterSpace
+
+    @cached_property
+    def fit(self) -> FinalFit:
+        """The linearisation of all clips where it ended."""
+        return final_fit(self.problem, self.finding, self.watch)
+
+    def again(self, problem: Problem) -> SearchState:
+        """Where a search with the same parameters under other priors begins."""
+        before, space, ended = self.problem.system.space, problem.system.space, self.finding
+        z, wider = space.clip(space.z_of(before.theta_of(ended.z))), before.prior_sd / space.prior_sd
+        shape = wider[:, None] * ended.shape if isinstance(ended, SearchState) and ended.straight else None
+        return restart(problem, z, shape)
+
+
+def conclude(search: Search, *, quick: bool = False) -> Identification:
+    """All results of a finished, or interrupted, search.
+
+    Its watch decides for which of the slow checks there is time: held-out clips from fitted first states, the
+    comparison of the logs' halves, what rests on assumed values, a second minimum, profiles. After an
+    interruption there is for none. `quick`: halves of the logs have no searches of their own.
+    """
+    problem, system, watch = search.problem, search.problem.system, search.watch
     watch.enter("covariance")
-    finding, fit, rival = _best(problem, *_settled(problem, finding, fit, watch), watch)
-    validation, own = with_own_values(problem, validation, fit.z, fit.shape, fit.scale)
-    for text in own:
+    fit, rival = _best(_settled(search.fit, watch), watch)
+    finding = fit.finding
+    validation, notes = with_own_values(fit, search.validation)
+    for text in notes:
         logger.log(NOTE, text)
-    held_out, misfit = _judged(problem, finding, fit, validation, watch)
-    missing = _missing(problem, finding, fit, watch)
-    ledger, exact = _ledger(problem, finding, fit, rival, watch, quick)
-    drawn = _profiles(problem, fit, ledger.sd, watch)
-    lines = with_common_means(system.space, model, finding.z, ledger)
+    held_out, misfit = _judged(fit, validation, watch)
+    missing = _missing(fit, watch)
+    ledger, exact = _ledger(fit, rival, watch, quick)
+    drawn = _profiles(fit, ledger.sd, watch)
+    lines = with_common_means(system.space, search.model, fit.z, ledger)
     space, covariance = lines.space, lines.ledger.covariance
-    against = blamed(system, fit) if finding.done else {}
-    evidence = _evidence(problem, fit, lines, misfit, against, drawn, rival)
+    evidence = _evidence(fit, lines, misfit, drawn, rival)
     _report_budget(system, ledger)
     watch.report_skipped()
     watch.enter("predictions for the report")
@@ -128,31 +143,30 @@ def conclude(
         noise_scale=fit.scale,
         unexplained=tuple(evidence.misfit),
         exact=exact,
-        fits=fits(problem, finding.z, validation or list(problem.clips), bool(validation)),
+        fits=fits(problem, fit.z, validation or list(problem.clips), bool(validation)),
         interrupted=watch.interrupted,
         settled=not watch.cut_short,
-        bodies=body_numbers(system, finding.z, ledger, problem.rng(5), misfit),
+        bodies=body_numbers(system, fit.z, ledger, problem.rng(5), misfit),
         logs=tuple(dict.fromkeys(part.log.source for part in problem.pool.parts)),
-        runs=estimates(system.space, fit, each_log(problem, fit)),
+        runs=estimates(fit),
         missing=missing,
-        determined=told(problem, fit, finding.z, ledger.covariance, held_out) if effort else (),
+        determined=told(fit, ledger.covariance, held_out) if effort else (),
         information=fit.posterior.hessian - fit.posterior.prior,
     )
 
 
 def _evidence(
-    problem: Problem,
     fit: FinalFit,
     lines: WithMeans,
     misfit: Sequence[str],
-    against: Mapping[str, tuple[str, ...]],
     drawn: Mapping[int, tuple[FloatArray, FloatArray]],
     rival: Rival | None,
 ) -> Evidence:
     """What verdicts are read from, for each line; of a common mean the same is said as of its first value."""
-    moves, alone = doubled_prior(fit, problem.active), [len(rows) == 1 for rows in lines.rows]
+    problem, against = fit.problem, blamed(fit) if fit.finding.done else {}
+    moves, alone = doubled_prior(fit), [len(rows) == 1 for rows in lines.rows]
     firsts = [rows[0] for rows in lines.rows]
-    names = {name: problem.system.space.names[i] for name, i in zip(lines.space.names, firsts, strict=True)}
+    names = {name: fit.space.names[i] for name, i in zip(lines.space.names, firsts, strict=True)}
     return Evidence(
         z=lines.z,
         ledger=lines.ledger,
@@ -168,63 +182,63 @@ def _evidence(
     )
 
 
-def _settled(problem: Problem, finding: Finding, fit: FinalFit, watch: Watch) -> tuple[Finding, FinalFit]:
+def _settled(fit: FinalFit, watch: Watch) -> FinalFit:
     """The search's result and its linearisation, after the steps that this still shows.
 
     The noise that the last iteration of a search assumed is not yet the one that is left after it.
     """
     for _ in range(STEPS):
-        short = (np.abs(fit.left) < SETTLED * fit.posterior.sd).all()
-        smooth = isinstance(finding, SearchState) and finding.settled and not problem.touches
+        finding, short = fit.finding, (np.abs(fit.left) < SETTLED * fit.posterior.sd).all()
+        smooth = isinstance(finding, SearchState) and finding.settled and not fit.problem.touches
         if short or not smooth or not watch.affords(2 * fit.slopes.rollouts):
             break
-        finding = replace(finding, z=problem.system.space.clip(finding.z + fit.left))
-        fit = final_fit(problem, finding, watch)
-    return finding, fit
+        fit = final_fit(fit.problem, replace(finding, z=fit.space.clip(fit.z + fit.left)), watch)
+    return fit
 
 
-def _best(
-    problem: Problem, finding: Finding, fit: FinalFit, watch: Watch
-) -> tuple[Finding, FinalFit, Rival | None]:
-    """The better one of two minima, its linearisation, and the other one; None where there is no other."""
-    searched = SHARE * sum(entry.rollouts for entry in finding.record)
+def _best(fit: FinalFit, watch: Watch) -> tuple[FinalFit, Rival | None]:
+    """The better one of two minima, and the other one; None where there is no other."""
+    searched = SHARE * sum(entry.rollouts for entry in fit.finding.record)
     if not watch.allows("search for a second minimum", searched):
-        return finding, fit, None
-    rival = second_minimum(problem, finding, fit)
+        return fit, None
+    rival = second_minimum(fit)
     if rival is not None and rival.share > 0.5:
         there, rival = rival.z, rival.against(fit.z)
-        finding = better(problem, finding, there, watch)
-        finding, fit = _settled(problem, finding, final_fit(problem, finding, watch), watch)
+        fit = _settled(final_fit(fit.problem, better(fit, there, watch), watch), watch)
     if rival is not None:
-        report_minima(problem.system.space, fit.z, rival)
-    return finding, fit, rival
+        report_minima(fit, rival)
+    return fit, rival
 
 
 def _judged(
-    problem: Problem, finding: Finding, fit: FinalFit, validation: Sequence[Window], watch: Watch
+    fit: FinalFit, validation: Sequence[Window], watch: Watch
 ) -> tuple[HeldOut | None, tuple[str, ...]]:
     """Costs and errors on held-out clips, and what speaks against every value, in words."""
-    held_out, against = _validated(problem, finding, fit, validation, watch)
-    shown = unexplained(problem.system, fit)
-    if finding.done:
+    problem, held_out, against = fit.problem, validate(fit, validation), left_out(fit)
+    if held_out and watch.allows("held-out clips from fitted first states", problem.linearisation):
+        held_out, worse = judge(fit, validation, held_out)
+        against = (*against, *worse)
+    shown = unexplained(fit)
+    if fit.finding.done:
         advice = "; compare measured with predicted in the report, and free what the model may lack"
-        report_misfit(problem.system, fit)
-        report_unsettled(problem, finding, fit)
+        report_misfit(fit)
+        report_unsettled(fit)
     else:  # of a search that was cut short, misfit says nothing of the model
         against, shown, advice = (watch.short,) * bool(against or shown), (), ""
     for text in against:
         logger.warning(f"{text}: no value is called identified{advice}")
     forwards = problem.system.match != "effort"
     if held_out and forwards and watch.allows("error against horizon", _predictions(problem, validation)):
-        held_out = replace(held_out, horizons=horizon_errors(problem, validation, finding.z))
+        held_out = replace(held_out, horizons=horizon_errors(problem, validation, fit.z))
     return held_out, (*against, *shown)
 
 
-def _missing(problem: Problem, finding: Finding, fit: FinalFit, watch: Watch) -> Missing | None:
+def _missing(fit: FinalFit, watch: Watch) -> Missing | None:
     """What the model lacks, where it misses the logs by more than twice their noise."""
+    problem = fit.problem
     missed = any(scale > ASKED and not white for scale, white in misfits(fit).values())
     missed &= not problem.touches  # forces along a motion know no contacts; `amhe explain` looks between them
-    if not (missed and finding.done):
+    if not (missed and fit.finding.done):
         watch.omits()
         return None
     if not watch.allows("what the model lacks", problem.linearisation):
@@ -237,17 +251,6 @@ def _missing(problem: Problem, finding: Finding, fit: FinalFit, watch: Watch) ->
             "the model does not"
         )
     return found
-
-
-def _validated(
-    problem: Problem, finding: Finding, fit: FinalFit, validation: Sequence[Window], watch: Watch
-) -> tuple[HeldOut | None, tuple[str, ...]]:
-    """Costs and errors on held-out clips, and what they say against every value."""
-    held_out, against = validate(problem, validation, finding), left_out(fit)
-    if not held_out or not watch.allows("held-out clips from fitted first states", problem.linearisation):
-        return held_out, against
-    held_out, worse = judge(problem, validation, fit, held_out)
-    return held_out, (*against, *worse)
 
 
 def _report_budget(system: System, ledger: Ledger) -> None:
@@ -264,35 +267,28 @@ def _predictions(problem: Problem, validation: Sequence[Window]) -> int:
     return round(2.0 * seconds * len(problem.clips) / sum(clip.duration for clip in problem.clips))
 
 
-def _ledger(
-    problem: Problem, finding: Finding, fit: FinalFit, rival: Rival | None, watch: Watch, quick: bool
-) -> tuple[Ledger, tuple[str, ...]]:
+def _ledger(fit: FinalFit, rival: Rival | None, watch: Watch, quick: bool) -> tuple[Ledger, tuple[str, ...]]:
     """All terms of the estimate's error, and what the settings take as exact.
 
     Terms for which there is no time are left out, and named.
     """
-    space, once = problem.system.space, problem.linearisation
-    found = [terms.noise(fit), terms.prior(space, fit), terms.repeats(space, fit), terms.search(fit)]
-    found.append(terms.declared(space, fit, problem.settings.identify.model_error))
+    once, exact = fit.problem.linearisation, ()
+    found = [terms.noise(fit), terms.prior(fit), terms.repeats(fit), terms.search(fit), terms.declared(fit)]
     if watch.allows("covariance from wider samples", once):
-        found.append(terms.curvature(fit, doubled_step(problem, finding, fit)))
+        found.append(terms.curvature(fit))
     with_halves = watch.allows("comparison of the logs' halves", 0 if quick else (REFITS + TURNS) * once)
-    found.append(parts(problem, finding, fit, with_halves=with_halves, refitted=not quick))
-    report_drift(space, found[-1], fit.posterior.sd)
-    exact = ()
+    found.append(parts(fit, with_halves=with_halves, refitted=not quick))
+    report_drift(fit, found[-1])
     if watch.allows("what rests on assumed values", once):
-        term, exact = assumed(problem, fit)
+        term, exact = assumed(fit)
         found.append(term)
-    found = terms.inherited(space, fit, found)
-    found += [rival.term(fit.z)] if rival else []
-    return Ledger(tuple(found)), exact
+    found = terms.inherited(fit, found)
+    return Ledger((*found, rival.term(fit.z)) if rival else tuple(found)), exact
 
 
-def _profiles(
-    problem: Problem, fit: FinalFit, sd: FloatArray, watch: Watch
-) -> dict[int, tuple[FloatArray, FloatArray]]:
+def _profiles(fit: FinalFit, sd: FloatArray, watch: Watch) -> dict[int, tuple[FloatArray, FloatArray]]:
     """Cost along each parameter, as far as its sd of z (d,) demands; none where there is no time."""
-    points = problem.settings.identify.profile_points
+    problem, points = fit.problem, fit.problem.settings.identify.profile_points
     unknowns = problem.active.sum() if problem.reach is None else problem.reach.unknowns(False)
     rollouts = points * int(unknowns) * min(len(problem.clips), PROFILED)
     return profiles(

@@ -6,7 +6,6 @@ import logging
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
 
@@ -14,9 +13,8 @@ from amhe_cli.core.belief import Belief
 from amhe_cli.core.each_log import named, searched
 from amhe_cli.core.errors import NOTE, ConfigError, EstimationError, LogError, and_more, one_of
 from amhe_cli.core.log import Log, Window, in_order
-from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.engine.open import open_engine
-from amhe_cli.estimation.conclude import PARTS, RESERVE, conclude
+from amhe_cli.estimation.conclude import PARTS, RESERVE, Search, conclude
 from amhe_cli.estimation.core.agreement import SURPRISE
 from amhe_cli.estimation.core.result import Identification
 from amhe_cli.estimation.explain.inputs import mended
@@ -27,7 +25,7 @@ from amhe_cli.estimation.offline.cma import CmaState
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.offline.watch import OnIteration, Watch
-from amhe_cli.estimation.uncertainty.fit import FinalFit, Finding, final_fit
+from amhe_cli.estimation.uncertainty.fit import Finding
 from amhe_cli.matching.motion import velocity_lag
 from amhe_cli.system.system import System
 
@@ -94,36 +92,6 @@ def identify(
     return concluded(searched_for(system, training, held_out, options, on_iteration))
 
 
-@dataclass(frozen=True, eq=False)
-class Search:
-    """A search that ended.
-
-    Args:
-        problem, finding: The problem and where the search ended.
-        validation: Clips that were not fitted.
-        watch: Shows progress of what follows, and has the time that is left.
-        model: Parameters of the model, with their prior.
-    """
-
-    problem: Problem
-    finding: Finding
-    validation: list[Window]
-    watch: Watch
-    model: ParameterSpace
-
-    @cached_property
-    def fit(self) -> FinalFit:
-        """The linearisation of all clips where it ended."""
-        return final_fit(self.problem, self.finding, self.watch)
-
-    def again(self, problem: Problem) -> SearchState:
-        """Where a search with the same parameters under other priors begins."""
-        own, space, found = self.problem.system.space, problem.system.space, self.finding
-        z, wider = space.clip(space.z_of(own.theta_of(found.z))), own.prior_sd / space.prior_sd
-        shape = wider[:, None] * found.shape if isinstance(found, SearchState) and found.straight else None
-        return search.restart(problem, z, shape)
-
-
 def searched_for(
     system: System,
     training: Sequence[Log],
@@ -157,9 +125,7 @@ def searched_for(
         _warn(system, problem)
     watch.keep(RESERVE * problem.linearisation)
     kept = Checkpoint(options.checkpoint, problem, options.method)
-    begin = search.start(problem)
-    if near is not None:
-        begin = near.again(problem)
+    begin = search.start(problem) if near is None else near.again(problem)
     finding = _search(problem, options.method, watch, kept, begin)
     return Search(problem, finding, validation, watch, model)
 
@@ -176,14 +142,12 @@ def _warn(system: System, problem: Problem) -> None:
 
 def concluded(search: Search, *, quick: bool = False) -> Identification:
     """What a search found, and how sure that is; `quick` as of `conclude`."""
-    problem, watch = search.problem, search.watch
-    given = problem, search.finding, search.fit, search.validation, watch, search.model
     try:
-        return conclude(*given, quick=quick)
+        return conclude(search, quick=quick)
     except KeyboardInterrupt:
         logger.warning("interrupted while the result was examined: its checks are not complete")
-        watch.interrupted = True
-        return conclude(*given, quick=quick)
+        search.watch.interrupted = True
+        return conclude(search, quick=quick)
 
 
 def _pose(

@@ -94,7 +94,8 @@ class MatchingCost:
         noise_scale: Mapping[str, float] | None = None,
     ) -> None:
         self.system, self.engine, self.settings = system, engine, settings
-        self.clips: Clips = prepare(system, windows, noise_scale or {}, settings.smoothing)
+        self.noise_scale = noise_scale or {}
+        self.clips: Clips = prepare(system, windows, self.noise_scale, settings.smoothing)
         self._alike = _alike([window.log for window in windows])
         self._wanted = [observed.wanted for observed in self.clips.observed]
 
@@ -230,11 +231,11 @@ class MatchingCost:
         cost = trimmed_mean(self.clip_costs(residuals), self.settings.trim)
         return np.where(residuals.completed.all(axis=1), cost, np.inf)
 
-    def rescaled(self, residuals: Residuals, factors: Sequence[float]) -> FloatArray:
-        """Costs (p,) of residuals whose channels are multiplied by `factors`: another noise sd."""
-        values = tuple(f * v for f, v in zip(factors, residuals.values, strict=True))
-        clip_costs = self.clip_costs(Residuals(values, residuals.completed))
-        return trimmed_mean(clip_costs, self.settings.trim)
+    def as_declared(self, residuals: Residuals) -> FloatArray:
+        """Costs (p,) of residuals in units of the declared noise, whatever the data have shown."""
+        factors = (self.noise_scale.get(observed.channel.key, 1.0) for observed in self.clips.observed)
+        values = tuple(factor * own for factor, own in zip(factors, residuals.values, strict=True))
+        return trimmed_mean(self.clip_costs(Residuals(values, residuals.completed)), self.settings.trim)
 
     def errors(self, residuals: Residuals, quantity: str) -> FloatArray:
         """Distance [m] or angle [rad] between prediction and measurement, mean over time; (p, clips).

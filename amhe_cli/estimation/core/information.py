@@ -57,6 +57,10 @@ class Information:
     nuisance_precision: FloatArray
     weight: FloatArray
 
+    def summed(self, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Information (d, d) and score (d,) of the windows together, each counted `weight` (c,) times."""
+        return np.einsum("c,cij->ij", weight, self.matrix), np.einsum("c,ci->i", weight, self.score)
+
     def first(self, dz: FloatArray) -> FloatArray:
         """Best first-state errors of every clip after steps dz (p, d): shape (p, c, nx)."""
         return self.nuisance + np.einsum("cxd,pd->pcx", self.nuisance_gain, dz)
@@ -341,11 +345,18 @@ def objective(
         times: Autocorrelation time of each channel, in samples.
         clip_weight: Weight of each clip, shape (c,).
     """
+    total = clip_objectives(cost, residuals, first, times)
+    return np.where(clip_weight > 0.0, total * np.maximum(clip_weight, 1e-300), 0.0).sum(axis=1)
+
+
+def clip_objectives(
+    cost: MatchingCost, residuals: Residuals, first: FloatArray, times: Sequence[float]
+) -> FloatArray:
+    """What each of c clips adds to `objective`, shape (p, c); infinite where it diverged."""
     total = np.einsum("pcx,pcx->pc", first, first)
     for loss, time in zip(cost.losses(residuals), times, strict=True):
         total = total + loss / time
-    total = np.where(residuals.completed, total, np.inf)
-    return np.where(clip_weight > 0.0, total * np.maximum(clip_weight, 1e-300), 0.0).sum(axis=1)
+    return np.where(residuals.completed, total, np.inf)
 
 
 def split(cost: MatchingCost, residual: FloatArray) -> list[FloatArray]:

@@ -79,11 +79,10 @@ def expected(system: System, logs: Sequence[Log], *, threads: int = 1, seed: int
         pace = (time.process_time() - began) / max(state.record[-1].rollouts, 1)
     fit = final_fit(problem, state, Watch(lambda iteration, total: None, None, 1))
     fit = _as_if(fit, max(share, 1.0 / len(few)))
-    term, _ = assumed(problem, fit)
+    term, _ = assumed(fit)
     space = system.space
-    found = [terms.noise(fit), terms.prior(space, fit), terms.repeats(space, fit)]
-    found.append(terms.declared(space, fit, system.settings.identify.model_error))
-    ledger = Ledger(tuple(terms.inherited(space, fit, [*found, term])))
+    found = [terms.noise(fit), terms.prior(fit), terms.repeats(fit), terms.declared(fit), term]
+    ledger = Ledger(tuple(terms.inherited(fit, found)))
     evidence = Evidence(
         z=fit.z,
         ledger=ledger,
@@ -93,7 +92,7 @@ def expected(system: System, logs: Sequence[Log], *, threads: int = 1, seed: int
         blamed={},
         profiles={},
         rival=None,
-        doubled_prior=doubled_prior(fit, problem.active),
+        doubled_prior=doubled_prior(fit),
         rough=problem.rough,
     )
     each = problem.linearisation / len(few) * min(len(clips), settings.most)
@@ -108,4 +107,6 @@ def expected(system: System, logs: Sequence[Log], *, threads: int = 1, seed: int
 def _as_if(fit: FinalFit, times: float) -> FinalFit:
     """The linearisation as if there were so many times as many clips of its kind."""
     weight = times * fit.weight
-    return replace(fit, weight=weight, posterior=posterior(fit.z, fit.found, weight, fit.posterior.prior))
+    return replace(
+        fit, weight=weight, posterior=posterior(fit.z, fit.information, weight, fit.posterior.prior)
+    )

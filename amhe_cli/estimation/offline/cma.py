@@ -65,8 +65,7 @@ def advance(problem: Problem, state: CmaState) -> CmaState:
     candidates[-1, free] = optimizer.mean
     residuals = cost.residuals(candidates)
     worth = problem.coverage(windows) * cost.clips.counts.sum()
-    costs = cost.rescaled(residuals, [1.0] * len(cost.clips.observed))
-    costs = np.where(residuals.completed.all(axis=1), costs, np.inf)
+    costs = cost.costs_of(residuals)
     prior = problem.system.space.prior_precision
     values = worth * costs + quadratic_prior(candidates, np.zeros_like(state.z), prior)
     finite = np.where(np.isfinite(values), values, 1e300)  # cmaes sorts numbers
@@ -74,13 +73,12 @@ def advance(problem: Problem, state: CmaState) -> CmaState:
     mean = candidates[-1].copy()
     mean[free] = optimizer.mean
     memory = memory_of(optimizer)
-    declared = [state.scale.get(o.channel.key, 1.0) for o in cost.clips.observed]
     best = int(np.argmin(values))
     squares = mean_squares(cost, residuals.flat[best], np.ones(len(windows), dtype=bool))
     entry = Iteration(
         number=state.number + 1,
         method="cmaes",
-        cost=float(cost.rescaled(residuals, declared)[best]),
+        cost=float(cost.as_declared(residuals)[best]),
         sigma=float(memory["_sigma"] * np.sqrt(np.diag(memory["_C"])).mean()),
         rollouts=residuals.completed.size,
         diverged=int((~residuals.completed).sum()),

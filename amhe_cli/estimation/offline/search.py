@@ -205,8 +205,7 @@ def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, fo
     """Step towards the minimum of the linearised cost plus prior; the true cost decides how far."""
     cost, prior = slopes.cost, problem.system.space.prior_precision
     weight = clip_weights(slopes, found) * problem.coverage(cost.clips.windows)
-    matrix = np.einsum("c,cij->ij", weight, found.matrix)
-    score = np.einsum("c,ci->i", weight, found.score)
+    matrix, score = found.summed(weight)
     whole, hessian = gauss_newton_step(matrix, score, prior, state.z)
     step = step_within(state.z, whole, hessian, problem.system.space) * problem.active
     # slopes of a smooth cost are good beyond the samples: there, the true cost alone decides how far
@@ -239,7 +238,6 @@ def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, fo
             tried.append(along(1.0 / DAMPED, _damped(hessian, whole, problem.active)))
     one = min(tried, key=lambda one: one.values.min())
     best = int(np.argmax(np.isfinite(one.values)) if blind else np.argmin(one.values))
-    declared = [state.scale.get(o.channel.key, 1.0) for o in cost.clips.observed]
     moved = one.z[best] - state.z if problem.touches else step
     length = float(np.sqrt(moved @ hessian @ moved))
     if problem.touches or not np.isfinite(one.values[best]):
@@ -251,7 +249,7 @@ def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, fo
         z=one.z[best],
         moved=length,
         far=bool(reach > 1.0) or (one.line[best] == 0.0 and length > SETTLED),
-        cost=float(cost.rescaled(one.residuals, declared)[best]),
+        cost=float(cost.as_declared(one.residuals)[best]),
         rollouts=sum(each.residuals.completed.size for each in tried),
         diverged=sum(int((~each.residuals.completed).sum()) for each in tried),
         scale=scale,

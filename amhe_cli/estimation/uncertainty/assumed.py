@@ -27,7 +27,6 @@ from amhe_cli.core.statistics import root
 from amhe_cli.engine.open import contact_variants, finer_solver, finer_step
 from amhe_cli.estimation.core.agreement import SURPRISE
 from amhe_cli.estimation.core.information import Information, gauss_newton_step, information, objective
-from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.uncertainty.fit import FinalFit, posterior
 from amhe_cli.estimation.uncertainty.ledger import Source, Term
 from amhe_cli.matching.cost import MatchingCost, Residuals
@@ -50,16 +49,16 @@ AS_WELL = 0.5
 EXAMINED = 1000
 
 
-def assumed(problem: Problem, fit: FinalFit) -> tuple[Term, tuple[str, ...]]:
+def assumed(fit: FinalFit) -> tuple[Term, tuple[str, ...]]:
     """What the estimate owes to assumed values, and the settings of those that act and are taken as exact."""
-    values = _acting_values(problem, fit)
+    problem, values = fit.problem, _acting_values(fit)
     exact = [value.setting for value in values if value.sd == 0.0]
     if problem.settings.identify.assumed.time_step == 0.0:
         exact.append("time_step")
-    changes = list(_changes(problem, _Neighbourhood(fit, problem.system.space.loose_precision)))
+    changes = list(_changes(_Neighbourhood(fit)))
     values = [v for v in values if v.sd > 0.0]
     moves = changes if problem.rough else []  # of jitter no regression says anything: the whole move counts
-    term = _regressed(problem, fit, [] if problem.rough else changes, values)
+    term = _regressed(fit, [] if problem.rough else changes, values)
     errors = np.concatenate((*(change.error[:, None] for change in moves), term.errors), axis=1)
     sources = (*(change.source for change in moves), *term.sources)
     return replace(term, errors=errors, sources=sources), tuple(dict.fromkeys(exact))
@@ -104,15 +103,9 @@ class _Change:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Neighbourhood:
-    """The estimate, and the estimates that changed residuals lead to.
-
-    Args:
-        fit: The estimate.
-        prior: Information of the prior that is no knowledge of the model, shape (d, d).
-    """
+    """The estimate, and the estimates that changed residuals lead to."""
 
     fit: FinalFit
-    prior: FloatArray
 
     def residuals(self, cost: MatchingCost, step: FloatArray, first: FloatArray) -> Residuals:
         """Residuals after a step (d,) of the estimate, first states (c, nx) moved along."""
@@ -130,9 +123,9 @@ class _Neighbourhood:
         both = slopes.completed & there.completed[0]
         residual = slopes.residual + there.flat[0] - slopes.centre
         found = information(replace(slopes, residual=residual, completed=both))
-        kept = (fit.found, fit.weight), (found, fit.weight * both)
-        steps = [posterior(fit.z, *each, self.prior).step for each in kept]
-        firsts = [one.first(step[None])[0] for one, step in zip((fit.found, found), steps, strict=True)]
+        kept = (fit.information, fit.weight), (found, fit.weight * both)
+        steps = [posterior(fit.z, *each, fit.space.loose_precision).step for each in kept]
+        firsts = [one.first(step[None])[0] for one, step in zip((fit.information, found), steps, strict=True)]
         costs = slopes.cost, cost
         here, there = (self.residuals(*each) for each in zip(costs, steps, firsts, strict=True))
         least, most = (self.misfit(*each) for each in zip(costs, (here, there), firsts, strict=True))
@@ -144,9 +137,10 @@ class _Neighbourhood:
         return _Change(Source(""), z, slope, most - least), (most - least) / max(least, 1e-300)
 
 
-def _changes(problem: Problem, about: _Neighbourhood) -> Iterator[_Change]:
+def _changes(about: _Neighbourhood) -> Iterator[_Change]:
     """Numerical choices of the model, each by one standard deviation."""
-    settings, cost = problem.settings.identify.assumed, about.fit.slopes.cost
+    problem, cost = about.fit.problem, about.fit.slopes.cost
+    settings = problem.settings.identify.assumed
     if problem.system.match == "effort":
         return  # nothing is integrated, and nothing touches
     variants = contact_variants(problem.engine, problem.system.unedited) if settings.contacts else {}
@@ -174,13 +168,11 @@ def _changes(problem: Problem, about: _Neighbourhood) -> Iterator[_Change]:
 # -- the regression ------------------------------------------------------------------------------------------
 
 
-def _regressed(
-    problem: Problem, fit: FinalFit, changes: Sequence[_Change], values: Sequence[Assumed]
-) -> Term:
+def _regressed(fit: FinalFit, changes: Sequence[_Change], values: Sequence[Assumed]) -> Term:
     """A (S + m m') A' of choices, whose slopes are known, and of numbers of the model."""
     if not changes and not values:
         return Term("assumed", np.zeros((len(fit.z), 0)), shared=True)
-    nuisances = _Nuisances(problem, fit, changes, values)
+    nuisances = _Nuisances(fit, changes, values)
     nuisances = nuisances.only(nuisances.felt())
     if nuisances.values:
         # samples that leave the ridge along which z follows a number would bend, and pass for information
@@ -202,8 +194,7 @@ class _Nuisances:
     """Further unknowns r beside z, in units of their sd.
 
     Args:
-        problem: The problem.
-        fit: Its final linearisation.
+        fit: The final linearisation.
         changes: Those of known slope.
         values: Numbers of the model.
         slopes: Slopes of the residuals by all of them, shape (c, K, R); None: not computed yet.
@@ -211,15 +202,15 @@ class _Nuisances:
 
     def __init__(
         self,
-        problem: Problem,
         fit: FinalFit,
         changes: Sequence[_Change],
         values: Sequence[Assumed],
         slopes: FloatArray | None = None,
     ) -> None:
-        self.problem, self.fit, self.changes, self.values = problem, fit, list(changes), list(values)
+        self.problem, self.fit = fit.problem, fit
+        self.changes, self.values = list(changes), list(values)
         # the errors of differentiated velocities have a common cause, and would pass for one of a number
-        blind = np.array([differentiated(problem.system, clip.log) for clip in problem.clips])
+        blind = np.array([differentiated(fit.problem.system, clip.log) for clip in fit.problem.clips])
         self._loose = np.where(blind, BLIND, 1.0)[:, : fit.slopes.first.mean.shape[1]]
         self.slopes = self._alone() if slopes is None else slopes
         self.posterior, self._found = self._posterior()
@@ -246,7 +237,7 @@ class _Nuisances:
         first = len(self.changes)
         changes = [self.changes[i] for i in rows if i < first]
         values = [self.values[i - first] for i in rows if i >= first]
-        return _Nuisances(self.problem, self.fit, changes, values, self.slopes[:, rows])
+        return _Nuisances(self.fit, changes, values, self.slopes[:, rows])
 
     def followed(self) -> _Nuisances:
         """Slopes from samples of one sd, accompanied by what z and the first states do along with each."""
@@ -255,7 +246,7 @@ class _Nuisances:
         gain = self._loose[..., None] * self._found.nuisance_gain
         turns = gain[..., :d] @ moves + gain[..., d + first :]
         slopes = self._sampled(moves, turns, 1.0)
-        return _Nuisances(self.problem, self.fit, self.changes, self.values, self._with_changes(slopes))
+        return _Nuisances(self.fit, self.changes, self.values, self._with_changes(slopes))
 
     def _alone(self) -> FloatArray:
         """Slopes from small samples, and alone; where contacts jitter, of one sd."""
@@ -299,10 +290,8 @@ class _Nuisances:
         found = information(replace(slopes, gain=gain, first=first))
         prior = np.eye(d + self.slopes.shape[1])
         prior[:d, :d] = self.problem.system.space.loose_precision
-        matrix = np.einsum("c,cij->ij", self.fit.weight, found.matrix)
-        score = np.einsum("c,ci->i", self.fit.weight, found.score)
         away = np.concatenate((self.fit.z, np.zeros(self.slopes.shape[1])))
-        step, precision = gauss_newton_step(matrix, score, prior, away)
+        step, precision = gauss_newton_step(*found.summed(self.fit.weight), prior, away)
         moves = -sealed(np.linalg.solve(precision[:d, :d], precision[:d, d:]))
         return (sealed(np.linalg.inv(precision)[d:, d:]), step[d:], moves), found
 
@@ -341,19 +330,18 @@ def _changed(source: Source, wanted: float) -> str:
     return source.times(wanted, "+") or f"{wanted:+.2g} times what was assumed"
 
 
-def _acting_values(problem: Problem, fit: FinalFit) -> list[Assumed]:
+def _acting_values(fit: FinalFit) -> list[Assumed]:
     """The assumed values that act in the rollouts at the estimate."""
-    parameters = problem.system.space.parameters
-    felt = {p.of_model for p, active in zip(parameters, problem.active, strict=True) if active}
+    felt = {p.of_model for p, active in zip(fit.space.parameters, fit.problem.active, strict=True) if active}
     largest = {
         o.channel.key: np.abs(o.measured[o.mask]).max(initial=0.0) for o in fit.slopes.cost.clips.observed
     }
-    return assumed_of(problem.system, _acting(problem, fit), felt, largest)
+    return assumed_of(fit.problem.system, _acting(fit), felt, largest)
 
 
-def _acting(problem: Problem, fit: FinalFit) -> Acting:
+def _acting(fit: FinalFit) -> Acting:
     """What acts in the rollouts at the estimate."""
-    system, cost, found = problem.system, fit.slopes.cost, []
+    system, cost, found = fit.problem.system, fit.slopes.cost, []
     if system.match == "effort":
         return Acting.nothing(system.model)
     most = max(1, EXAMINED // len(cost.clips.windows))  # of each clip

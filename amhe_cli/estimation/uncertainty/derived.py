@@ -148,20 +148,18 @@ def _power(name: str, power: float) -> str:
     return name if abs(power - 1.0) < 0.05 else f"{name}^{power:.1f}"
 
 
-def told(
-    problem: Problem, fit: FinalFit, z: FloatArray, covariance: FloatArray, held_out: HeldOut | None
-) -> tuple[str, ...]:
+def told(fit: FinalFit, covariance: FloatArray, held_out: HeldOut | None) -> tuple[str, ...]:
     """How many numbers the motion determines and how well it tells them apart; then a verdict on each joint.
 
     Where efforts are linear in the unknowns, those numbers are the base parameters (Gautier and Khalil 1990).
 
     Args:
-        problem: The problem.
-        fit: Its linearisation at the estimate.
-        z, covariance: The estimate and its covariance, shape (d,) and (d, d).
+        fit: The linearisation at the estimate.
+        covariance: The estimate's covariance, shape (d, d).
         held_out: Errors on clips that were not fitted.
     """
-    system, path = problem.system, path_of(problem.system, problem.clips[0].log)
+    problem, system = fit.problem, fit.problem.system
+    path = path_of(system, problem.clips[0].log)
     known = np.linalg.eigvalsh(fit.posterior.hessian - fit.posterior.prior)
     better = known[known > 1.0]
     band, rate = float(path.motion.band.max()), 1.0 / (path.every * system.dt)
@@ -170,7 +168,7 @@ def told(
         f"this motion determines {better.size} of {known.size} numbers better than their priors do "
         f"(condition number {np.sqrt(better.max(initial=1.0) / better.min(initial=1e300)):.0f}); it reaches "
         f"{band:.2g} Hz, and efforts are compared {rate:.2g} times a second",
-        *_joints(system, z, covariance, speed, _missed(problem, held_out)),
+        *_joints(system, fit.z, covariance, speed, _missed(problem, held_out)),
     )
 
 

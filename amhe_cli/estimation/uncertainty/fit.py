@@ -9,9 +9,11 @@ from functools import cached_property
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray, sealed, to_host
+from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.estimation.core.information import (
     Information,
     channel_times,
+    clip_objectives,
     clip_weights,
     fitted_noise_scale,
     gauss_newton_step,
@@ -117,8 +119,7 @@ def posterior(z: FloatArray, found: Information, weight: FloatArray, prior: Floa
         weight: Number of times that each clip counts, shape (c,); 0 leaves it out.
         prior: Information of the prior, shape (d, d).
     """
-    matrix = np.einsum("c,cij->ij", weight, found.matrix)
-    step, _ = gauss_newton_step(matrix, np.einsum("c,ci->i", weight, found.score), prior, z)
+    step, _ = gauss_newton_step(*found.summed(weight), prior, z)
     hessian = np.einsum("c,cij->ij", weight, found.curvature) + prior
     score = found.score + np.einsum("cij,j->ci", found.matrix, step)
     centred = score - (weight[:, None] * score).sum(axis=0) / max(weight.sum(), 1e-300)
@@ -155,29 +156,40 @@ class FinalFit:
     """Linearisation of all clips at the estimate.
 
     Args:
+        problem, finding: The problem, and where its search ended.
         slopes: Residuals of c clips and their slopes.
-        found: Information of the clips.
+        information: What the clips know of z.
         weight: Number of times that each clip counts, shape (c,).
         posterior: Posterior of z.
         shape: Shape of the samples of z, (d, d).
         scale: Channel -> residual sd over declared noise sd.
-        z: The estimate, shape (d,).
         left: The step that a search would take from there, shape (d,).
     """
 
+    problem: Problem
+    finding: Finding
     slopes: Linearisation
-    found: Information
+    information: Information
     weight: FloatArray
     posterior: Posterior
     shape: FloatArray
     scale: Mapping[str, float]
-    z: FloatArray
     left: FloatArray
+
+    @property
+    def z(self) -> FloatArray:
+        """The estimate, shape (d,)."""
+        return self.finding.z
+
+    @property
+    def space(self) -> ParameterSpace:
+        """The unknowns."""
+        return self.problem.system.space
 
     @property
     def times(self) -> tuple[float, ...]:
         """Autocorrelation time of each channel's residuals, in samples."""
-        return channel_times(self.slopes.cost, self.found.residual, self.slopes.completed)
+        return channel_times(self.slopes.cost, self.information.residual, self.slopes.completed)
 
     def costs_along(self, rows: IntArray, values: FloatArray, reach: Reach | None) -> FloatArray:
         """Mean cost of some clips with one parameter moved at a time, first states fitted along.
@@ -199,7 +211,7 @@ class FinalFit:
         together, here = np.arange(len(rows)), ()
 
         def first_states(z: FloatArray) -> FloatArray | None:
-            first = self.found.first(z - self.z)[:, clips]
+            first = self.information.first(z - self.z)[:, clips]
             return first if first.shape[2] else None
 
         if reach is not None:
@@ -214,7 +226,7 @@ class FinalFit:
                 own = found if reach is None else reach.alone(rows[i], cost, found, here)
                 alone = np.repeat(self.z[None], len(z), axis=0)
                 alone[:, rows[i]] = values[i]
-                first = self.found.first(alone - self.z)[:, clips]
+                first = self.information.first(alone - self.z)[:, clips]
                 costs[i] = objective(cost, own, first, (1.0,) * len(own.values), counted)
         return costs / max(float((counted * cost.clips.counts).sum()), 1.0)
 
@@ -225,54 +237,46 @@ def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) ->
     Samples have the shape of the posterior, which depends on the linearisation: this is repeated until the
     shape no longer changes, or a watch has no time for more.
     """
-    prior = problem.system.space.prior_precision
-    coverage = problem.coverage(problem.clips)
-    floor = spread_floor(problem)
+    space, floor = problem.system.space, spread_floor(problem)
     searched = isinstance(finding, SearchState)
     shape = finding.shape if searched else diagonal(SMALL, problem.active)
     scale, first = finding.scale, finding.first if searched else None
     # the last steps of the search have sampled in this shape and fitted the first states
-    known = searched and first is not None and (problem.rough or finding.settled)
+    shaped = searched and first is not None and (problem.rough or finding.settled)
     for turn in range(TURNS):
-        slopes = _linearised(problem, finding, scale, shape, first, turn)
-        found = information(slopes)
-        weight = clip_weights(slopes, found) * coverage
-        own = posterior(finding.z, found, weight, prior)
-        left = step_within(finding.z, own.step, own.hessian, problem.system.space)
-        fit = FinalFit(slopes, found, weight, own, shape, scale, finding.z, left)
-        covariance = within(fit.posterior.covariance, problem.alike)
+        slopes = _linearised(problem, finding.z, scale, shape, first, turn)
+        told = information(slopes)
+        weight = clip_weights(slopes, told) * problem.coverage(problem.clips)
+        known = posterior(finding.z, told, weight, space.prior_precision)
+        left = step_within(finding.z, known.step, known.hessian, space)
+        fit = FinalFit(problem, finding, slopes, told, weight, known, shape, scale, left)
+        covariance = within(known.covariance, problem.alike)
         wanted = bounded(4.0 * covariance, floor, problem.active, problem.alike)
         # slopes from samples that hardly bend are those of wider ones, too
         straight = not problem.touches and float(slopes.bend.mean()) < HARDLY
-        if known and (straight or not changed(sampling_sd(shape), sampling_sd(wanted))):
+        if shaped and (straight or not changed(sampling_sd(shape), sampling_sd(wanted))):
             break
         if watch is not None:
             watch.measured(slopes.rollouts)
             if not watch.affords(2 * slopes.rollouts):
                 break
-        shape, scale, known = wanted, fitted_noise_scale(slopes, found, scale), True
-        first = problem.first_states(found, np.zeros_like(finding.z))
+        shape, scale, shaped = wanted, fitted_noise_scale(slopes, told, scale), True
+        first = problem.first_states(told, np.zeros_like(finding.z))
     return fit
 
 
-def doubled_step(problem: Problem, finding: Finding, fit: FinalFit) -> Posterior:
+def doubled_step(fit: FinalFit) -> Posterior:
     """Posterior from samples twice as wide: the same where the model is linear."""
-    first = fit.slopes.first
-    found = information(_linearised(problem, finding, fit.scale, 2.0 * fit.shape, first, TURNS))
-    return posterior(finding.z, found, fit.weight, problem.system.space.prior_precision)
+    slopes = _linearised(fit.problem, fit.z, fit.scale, 2.0 * fit.shape, fit.slopes.first, TURNS)
+    return posterior(fit.z, information(slopes), fit.weight, fit.posterior.prior)
 
 
-def doubled_prior(fit: FinalFit, active: BoolArray) -> FloatArray:
-    """Where each estimate would move if the sd of its own prior were twice as large, shape (d,).
-
-    Args:
-        fit: The linearisation at the estimate.
-        active: Parameters that the logs depend on, shape (d,).
-    """
+def doubled_prior(fit: FinalFit) -> FloatArray:
+    """Where each estimate would move if the sd of its own prior were twice as large, shape (d,)."""
     prior, moves = fit.posterior.prior, np.zeros_like(fit.z)
     known = fit.posterior.hessian - prior
-    score = np.einsum("c,ci->i", fit.weight, fit.found.score)
-    for i in np.flatnonzero(active):
+    _, score = fit.information.summed(fit.weight)
+    for i in np.flatnonzero(fit.problem.active):
         wider = np.array(prior)
         wider[i] *= 0.5  # row and column: the diagonal becomes a quarter
         wider[:, i] *= 0.5
@@ -282,14 +286,14 @@ def doubled_prior(fit: FinalFit, active: BoolArray) -> FloatArray:
 
 def _linearised(
     problem: Problem,
-    finding: Finding,
+    z: FloatArray,
     scale: Mapping[str, float],
     shape: FloatArray,
     first: FirstStates | None,
     place: int,
 ) -> Linearisation:
     cost = problem.cost(problem.clips, scale)
-    return problem.linearised(cost, finding.z, first or problem.recorded(cost), shape, problem.rng(3, place))
+    return problem.linearised(cost, z, first or problem.recorded(cost), shape, problem.rng(3, place))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -297,24 +301,28 @@ class Scored:
     """c clips under one z, their first states fitted.
 
     Args:
-        residuals: Residuals in the noise of the cost that was given, each channel (1, c, samples, k).
-        losses: Robust loss of each channel, shape (c,) each; infinite where the clip diverged.
-        first: Squared first-state errors, shape (c,).
+        cost: The cost on the clips.
+        residuals: Residuals in its noise, each channel (1, c, samples, k).
+        first: First-state errors, shape (c, nx).
         times: Autocorrelation time of each channel's residuals, in samples.
         information: What the clips know of z.
     """
 
+    cost: MatchingCost
     residuals: Residuals
-    losses: list[FloatArray]
-    times: tuple[float, ...]
     first: FloatArray
+    times: tuple[float, ...]
     information: Information
+
+    @property
+    def losses(self) -> list[FloatArray]:
+        """Robust loss of each channel, shape (c,) each; infinite where the clip diverged."""
+        done = self.residuals.completed[0]
+        return [np.where(done, loss[0], np.inf) for loss in self.cost.losses(self.residuals)]
 
     def misfit(self, times: Sequence[float]) -> FloatArray:
         """Losses as of independent samples for some autocorrelation times, and first-state errors, (c,)."""
-        return self.first + np.sum(
-            [loss / time for loss, time in zip(self.losses, times, strict=True)], axis=0
-        )
+        return clip_objectives(self.cost, self.residuals, self.first[None], times)[0]
 
 
 def scored(problem: Problem, cost: MatchingCost, z: FloatArray, shape: FloatArray) -> Scored:
@@ -329,17 +337,12 @@ def scored(problem: Problem, cost: MatchingCost, z: FloatArray, shape: FloatArra
     slopes = problem.linearised(
         cost, z, problem.recorded(cost), shape, problem.rng(5), straight=not problem.touches
     )
-    found = information(slopes)
-    tried = LINE[:, None, None] * found.nuisance
+    told = information(slopes)
+    tried = LINE[:, None, None] * told.nuisance
     residuals = cost.residuals(np.repeat(z[None], len(LINE), axis=0), tried if tried.size else None)
-    losses = cost.losses(residuals)
-    errors = np.einsum("pcx,pcx->pc", tried, tried)
-    total, times = errors, channel_times(cost, found.residual, slopes.completed)
-    for loss, time in zip(losses, times, strict=True):
-        total = total + loss / time
-    total = np.where(residuals.completed, total, np.inf)
-    best = total.argmin(axis=0), np.arange(total.shape[1])
-    done = residuals.completed[best]
+    times = channel_times(cost, told.residual, slopes.completed)
+    worth = clip_objectives(cost, residuals, tried, times)
+    best = worth.argmin(axis=0), np.arange(worth.shape[1])
     kept = tuple(to_host(values)[best][None] for values in residuals.values)
-    own = [np.where(done, one[best], np.inf) for one in losses]
-    return Scored(Residuals(kept, done[None]), own, times, errors[best], found)
+    residuals = Residuals(kept, residuals.completed[best][None])
+    return Scored(cost, residuals, tried[best], times, told)

@@ -23,7 +23,7 @@ from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.offline.watch import Watch
-from amhe_cli.estimation.uncertainty.fit import FinalFit, Finding, scored
+from amhe_cli.estimation.uncertainty.fit import FinalFit, scored
 from amhe_cli.estimation.uncertainty.ledger import Term
 from amhe_cli.matching.cost import MatchingCost
 
@@ -75,33 +75,29 @@ class Rival:
         return f"another minimum explains the logs too: {value} (cost {cost} here)"
 
 
-def better(problem: Problem, finding: Finding, z: FloatArray, watch: Watch) -> SearchState:
+def better(fit: FinalFit, z: FloatArray, watch: Watch) -> SearchState:
     """A search from values z (d,) that fit the logs better than those where the one before ended."""
-    state = replace(search.restart(problem, z), record=finding.record)
+    state = replace(search.restart(fit.problem, z), record=fit.finding.record)
     while not (state.done or watch.stopped):
-        state = search.advance(problem, state)
-        watch.saw(state.record[-1], search.total(problem, state))
+        state = search.advance(fit.problem, state)
+        watch.saw(state.record[-1], search.total(fit.problem, state))
     return state
 
 
-def second_minimum(problem: Problem, finding: Finding, fit: FinalFit) -> Rival | None:
+def second_minimum(fit: FinalFit) -> Rival | None:
     """Other values that the logs allow, although the covariance of the estimate excludes them.
 
     Where contacts jitter, none are looked for; efforts that are linear in the unknowns have one minimum.
-
-    Args:
-        problem: The problem that was searched.
-        finding: Where its search ended.
-        fit: The linearisation there.
     """
+    problem = fit.problem
     linear = problem.system.match == "effort" and linear_in(problem.system.edits)
     if linear or problem.rough:  # contacts that jitter make rises everywhere
         return None
-    part, space, covariance = _part(problem, fit), problem.system.space, fit.posterior.covariance
+    part, space, covariance = _part(fit), fit.space, fit.posterior.covariance
     cost = part.cost(part.clips)
     felt = np.any([acting(clip.log, problem.system.edits.space, space) for clip in part.clips], axis=0)
     starts, rollouts = _beyond_a_rise(cost, fit.z, _corners(problem))
-    left = SHARE * sum(entry.rollouts for entry in finding.record) - rollouts
+    left = SHARE * sum(entry.rollouts for entry in fit.finding.record) - rollouts
     for z in starts:
         state = search.restart(part, z)
         while left > 0.0 and not state.done and state.number < TURNS:
@@ -116,7 +112,7 @@ def second_minimum(problem: Problem, finding: Finding, fit: FinalFit) -> Rival |
         away = (end - fit.z) @ np.linalg.solve(known, end - fit.z)
         if away <= SURPRISE**2 or there > RISE * here:
             continue
-        if (rival := _confirmed(problem, fit, end)) is not None:
+        if (rival := _confirmed(fit, end)) is not None:
             return rival
     return None
 
@@ -140,10 +136,10 @@ def _beyond_a_rise(cost: MatchingCost, z: FloatArray, corners: FloatArray) -> tu
     return np.array([place for _, place in found]).reshape(-1, z.size), costs.size * len(cost.clips.windows)
 
 
-def _part(problem: Problem, fit: FinalFit) -> Problem:
+def _part(fit: FinalFit) -> Problem:
     """The clips that tell most, from their recorded first states."""
-    information = np.einsum("ij,cji->c", fit.posterior.covariance, fit.found.matrix) * fit.weight
-    part = problem.part(np.sort(np.argsort(-information)[:FEW]))
+    information = np.einsum("ij,cji->c", fit.posterior.covariance, fit.information.matrix) * fit.weight
+    problem, part = fit.problem, fit.problem.part(np.sort(np.argsort(-information)[:FEW]))
     settings = problem.settings
     few = settings.identify.model_copy(update={"first_state": "never", "samples": 4})
     system = replace(problem.system, settings=settings.model_copy(update={"identify": few}))
@@ -163,29 +159,27 @@ def _corners(problem: Problem) -> FloatArray:
     return problem.system.space.clip(corners)
 
 
-def _confirmed(problem: Problem, fit: FinalFit, z: FloatArray) -> Rival | None:
+def _confirmed(fit: FinalFit, z: FloatArray) -> Rival | None:
     """Whether all clips, their first states fitted, allow a minimum near z (d,) as well as the estimate."""
-    cost, prior = fit.slopes.cost, problem.system.space.prior_precision
-    found = scored(problem, cost, z, fit.shape).information
-    matrix, score = (np.einsum("c,c...->...", fit.weight, one) for one in (found.matrix, found.score))
+    cost, prior = fit.slopes.cost, fit.posterior.prior
     # a few clips have led to z: the minimum of all of them is a step away
-    step = step_within(z, *gauss_newton_step(matrix, score, prior, z), problem.system.space)
-    places = fit.z, problem.system.space.clip(z + step)
+    told = scored(fit.problem, cost, z, fit.shape).information.summed(fit.weight)
+    step = step_within(z, *gauss_newton_step(*told, prior, z), fit.space)
+    places = fit.z, fit.space.clip(z + step)
     differs = np.abs(places[1] - places[0]) > SURPRISE * fit.posterior.sd
-    both = [scored(problem, cost, place, fit.shape) for place in places]
+    both = [scored(fit.problem, cost, place, fit.shape) for place in places]
     misfits = [np.where(fit.weight > 0.0, one.misfit(fit.times), 0.0) @ fit.weight for one in both]
     here, there = (misfit + place @ prior @ place for misfit, place in zip(misfits, places, strict=True))
     if not (there - here < SURPRISE**2 and differs.any()):
         return None
-    declared = [fit.scale.get(observed.channel.key, 1.0) for observed in cost.clips.observed]
-    costs = [float(cost.rescaled(one.residuals, declared)[0]) for one in both]
+    costs = [float(cost.as_declared(one.residuals)[0]) for one in both]
     return Rival(places[1], float(1.0 / (1.0 + np.exp(0.5 * (there - here)))), differs, (costs[0], costs[1]))
 
 
-def report_minima(space: ParameterSpace, z: FloatArray, rival: Rival) -> None:
+def report_minima(fit: FinalFit, rival: Rival) -> None:
     """Warn of two minima, with the values in which they differ."""
-    both = []
-    for theta, cost in zip((space.theta_of(z), space.theta_of(rival.z)), rival.costs, strict=True):
+    both, space = [], fit.space
+    for theta, cost in zip((space.theta_of(fit.z), space.theta_of(rival.z)), rival.costs, strict=True):
         values = (f"{space.names[i]} {theta[i]:.3g}" for i in np.flatnonzero(rival.differs))
         both.append(f"{', '.join(values)} (cost {cost:.3g})")
     logger.warning(

@@ -9,9 +9,8 @@ import numpy as np
 from amhe_cli.core.errors import and_more
 from amhe_cli.estimation.core.information import channel_times, split
 from amhe_cli.estimation.offline.clips import clip_name
-from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
-from amhe_cli.estimation.uncertainty.fit import FinalFit, Finding
+from amhe_cli.estimation.uncertainty.fit import FinalFit
 from amhe_cli.matching.cost import Residuals
 from amhe_cli.matching.windows import Observed
 from amhe_cli.system.description.data import PART
@@ -36,11 +35,11 @@ MISSED, WHITE = 5.0, 2.0
 LISTED = 3
 
 
-def report_unsettled(problem: Problem, finding: Finding, fit: FinalFit) -> None:
+def report_unsettled(fit: FinalFit) -> None:
     """Warn of a search that stopped on its way; on a rough cost the steps never get short."""
-    space = problem.system.space
+    finding, space = fit.finding, fit.space
     left = np.abs(fit.left) / fit.posterior.sd
-    moving = isinstance(finding, SearchState) and not (finding.settled or problem.rough)
+    moving = isinstance(finding, SearchState) and not (finding.settled or fit.problem.rough)
     costs = [i.cost for i in finding.record if i.stage == "polish"][-STALLED:]
     if len(costs) < STALLED:
         unsettled = moving or left.max() > UNSETTLED
@@ -55,23 +54,23 @@ def report_unsettled(problem: Problem, finding: Finding, fit: FinalFit) -> None:
         )
 
 
-def report_misfit(system: System, fit: FinalFit) -> None:
+def report_misfit(fit: FinalFit) -> None:
     """Warn of channels that the model does not explain."""
     for key, (scale, white) in misfits(fit).items():
         if scale > MISFIT:
-            wrong = "" if white else f"{_remedy(system, key)}; or "
+            wrong = "" if white else f"{_remedy(fit.problem.system, key)}; or "
             logger.warning(
                 f"the model misses {key} by {scale:.1f} times its declared noise: {wrong}"
                 f"the noise is declared too small"
             )
 
 
-def unexplained(system: System, fit: FinalFit) -> tuple[str, ...]:
+def unexplained(fit: FinalFit) -> tuple[str, ...]:
     """Channels that the model misses by so much that no value can be believed, and what to do.
 
     Residuals that are large but independent are noise, however little was declared.
     """
-    found = []
+    found, system = [], fit.problem.system
     noise = {o.channel.key: float(np.mean(o.noise)) for o in fit.slopes.cost.clips.observed}
     moved = {each.channel.key: _scatter(each) for each in fit.slopes.cost.clips.observed}
     for key, (scale, white) in sorted(misfits(fit).items(), key=lambda item: -item[1][0]):
@@ -89,19 +88,19 @@ def _scatter(observed: Observed) -> float:
     return float(np.sqrt(values.var(axis=0).mean()))
 
 
-def blamed(system: System, fit: FinalFit) -> dict[str, tuple[str, ...]]:
+def blamed(fit: FinalFit) -> dict[str, tuple[str, ...]]:
     """Where the model misses the logs: parameters that several joints share, and what to do about each."""
     missed = [(scale, key) for key, (scale, white) in misfits(fit).items() if scale > MISFIT and not white]
     if not missed:
         return {}
     scale, key = max(missed)
-    joints = shared_by_joints(system)
+    joints = shared_by_joints(fit.problem.system)
     return {
         p.name: (
             f"it is one value of {joints[p.of_model]} joints, and the model misses {key} by {scale:.1f} "
             f"times its noise: give each joint its own",
         )
-        for p in system.space.parameters
+        for p in fit.space.parameters
         if p.of_model in joints
     }
 
@@ -112,10 +111,10 @@ def left_out(fit: FinalFit) -> tuple[str, ...]:
     Such a clip is missed by MISSED times the noise that the others show, and not by noise of its own.
     """
     cost, found = fit.slopes.cost, []
-    values = split(cost, fit.found.residual)
+    values = split(cost, fit.information.residual)
     losses = cost.losses(Residuals(tuple(v[None] for v in values), fit.slopes.completed[None]))
     for i in np.flatnonzero((fit.weight == 0.0) & fit.slopes.completed):
-        times = channel_times(cost, fit.found.residual, np.arange(len(fit.weight)) == i)
+        times = channel_times(cost, fit.information.residual, np.arange(len(fit.weight)) == i)
         for observed, loss, time in zip(cost.clips.observed, losses, times, strict=True):
             count = max(int(observed.mask[i].sum()), 1) * observed.width
             missed = float(np.sqrt(loss[0, i] / count))

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -19,14 +20,13 @@ import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
 from amhe_cli.core.log import Log
-from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.estimation.core.agreement import beyond_chance, difference
 from amhe_cli.estimation.core.information import Information, information
 from amhe_cli.estimation.core.result import RunEstimate
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
-from amhe_cli.estimation.uncertainty.fit import LITTLE, FinalFit, Finding, Posterior, final_fit, posterior
+from amhe_cli.estimation.uncertainty.fit import LITTLE, FinalFit, Posterior, final_fit, posterior
 from amhe_cli.estimation.uncertainty.ledger import Source, Term, size
 
 logger = logging.getLogger(__name__)
@@ -48,23 +48,18 @@ DRIFTS, LISTED = 0.5, 3
 Parts = Mapping[str, Posterior]
 
 
-def parts(
-    problem: Problem, finding: Finding, fit: FinalFit, *, with_halves: bool, refitted: bool = True
-) -> Term:
+def parts(fit: FinalFit, *, with_halves: bool, refitted: bool = True) -> Term:
     """Covariance between parts of the data beyond chance.
 
     Args:
-        problem: The problem that was searched.
-        finding: Where its search ended.
-        fit: The linearisation there.
+        fit: The linearisation where the search ended.
         with_halves: Compare the halves of the logs, too.
         refitted: Each half has a search of its own, which takes some rollouts; else the linearisation speaks
             for it, too.
     """
-    sides = each_log(problem, fit) or _later_logs(problem, fit)
-    compared = [_kinds(fit), sides]
-    if with_halves and (halves := _halves(problem, finding, None if refitted else fit)):
-        compared.append(halves)
+    compared = [_kinds(fit), each_log(fit) or _later_logs(fit)]
+    if with_halves:
+        compared.append(_halves(fit, refitted))
     errors, sources = [], []
     for alone in compared:
         pairs = list(combinations(alone, 2))
@@ -127,13 +122,15 @@ def _kinds(fit: FinalFit) -> Parts:
 
 def _alone(fit: FinalFit, found: Information | None = None, side: BoolArray | float = 1.0) -> Posterior:
     """What a part of the linearisation says; the prior's mean is the joint estimate."""
-    return posterior(np.zeros_like(fit.z), found or fit.found, fit.weight * side, fit.posterior.prior)
+    return posterior(np.zeros_like(fit.z), found or fit.information, fit.weight * side, fit.posterior.prior)
 
 
-def each_log(problem: Problem, fit: FinalFit) -> dict[str, Posterior]:
+def each_log(fit: FinalFit) -> dict[str, Posterior]:
     """What each log says alone, by its name; none of a single log, or of many."""
-    logs = list(dict.fromkeys(clip.log for clip in problem.clips))
-    sides = {log: np.array([clip.log is log for clip in problem.clips]) for log in logs}
+    clips = fit.problem.clips
+    sides = {
+        log: np.array([clip.log is log for clip in clips]) for log in dict.fromkeys(c.log for c in clips)
+    }
     sides = {log: side for log, side in sides.items() if side.sum() >= FEWEST_CLIPS}
     if not 2 <= len(sides) < MANY:
         return {}
@@ -141,25 +138,27 @@ def each_log(problem: Problem, fit: FinalFit) -> dict[str, Posterior]:
     return {names[log]: _alone(fit, side=side) for log, side in sides.items()}
 
 
-def _later_logs(problem: Problem, fit: FinalFit) -> Parts:
+def _later_logs(fit: FinalFit) -> Parts:
     """The earlier and the later half of many logs."""
-    order = {log: i for i, log in enumerate(dict.fromkeys(id(clip.log) for clip in problem.clips))}
-    late = np.array([2 * order[id(clip.log)] >= len(order) > 1 for clip in problem.clips])
+    logs = [clip.log for clip in fit.problem.clips]
+    order = {log: i for i, log in enumerate(dict.fromkeys(logs))}
+    late = np.array([2 * order[log] >= len(order) > 1 for log in logs])
     if min(late.sum(), (~late).sum()) < FEWEST_CLIPS:
         return {}
     return {"the earlier logs": _alone(fit, side=~late), "the later logs": _alone(fit, side=late)}
 
 
-def _halves(problem: Problem, finding: Finding, joint: FinalFit | None) -> Parts:
+def _halves(joint: FinalFit, refitted: bool) -> Parts:
     """The first and the second half of each log's fitted clips, by a joint fit, or a search of its own.
 
     Where halves differ much, the misfit of their compromise looks like noise, and would hide that they do. So
     would first states fitted to it: each is searched from the recorded ones.
     """
+    problem, finding = joint.problem, joint.finding
     late = _second_half(problem)
     if min(late.sum(), (~late).sum()) < FEWEST_CLIPS:
         return {}
-    if joint is not None:
+    if not refitted:
         return {name: _alone(joint, side=side) for name, side in zip(HALVES, (~late, late), strict=True)}
     straight = finding.shape if isinstance(finding, SearchState) and finding.straight else None
     found = {}
@@ -170,8 +169,8 @@ def _halves(problem: Problem, finding: Finding, joint: FinalFit | None) -> Parts
             state = search.advance(part, state)
         fit = final_fit(part, state)
         away = state.z - finding.z
-        alone = posterior(away, fit.found, fit.weight, fit.posterior.prior)
-        found[name] = Posterior(away + alone.step, alone.hessian, alone.scatter, alone.prior)
+        alone = posterior(away, fit.information, fit.weight, fit.posterior.prior)
+        found[name] = replace(alone, step=away + alone.step)
     return found
 
 
@@ -185,14 +184,14 @@ def _second_half(problem: Problem) -> BoolArray:
     return late
 
 
-def report_drift(space: ParameterSpace, term: Term, sd: FloatArray) -> None:
-    """Warn of values that the halves of the logs want otherwise by more than noise leaves open, sd (d,)."""
+def report_drift(fit: FinalFit, term: Term) -> None:
+    """Warn of values that the halves of the logs want otherwise by more than noise leaves open."""
     for k, source in enumerate(term.sources):
         if source.name == " and ".join(HALVES):
-            sizes = np.abs(term.errors[:, k]) / sd
+            sizes = np.abs(term.errors[:, k]) / fit.posterior.sd
             drifting = [i for i in map(int, np.argsort(-sizes)) if sizes[i] > DRIFTS]
             wants = ", ".join(
-                f"{space.names[i]} {size(space, i, source.apart[i])}" for i in drifting[:LISTED]
+                f"{fit.space.names[i]} {size(fit.space, i, source.apart[i])}" for i in drifting[:LISTED]
             )
             if wants:
                 logger.warning(
@@ -201,10 +200,10 @@ def report_drift(space: ParameterSpace, term: Term, sd: FloatArray) -> None:
                 )
 
 
-def estimates(space: ParameterSpace, fit: FinalFit, alone: Parts) -> tuple[RunEstimate, ...]:
+def estimates(fit: FinalFit) -> tuple[RunEstimate, ...]:
     """Value and sd of each parameter from each log alone, without those that it hardly knows."""
-    found = []
-    for name, part in alone.items():
+    found, space = [], fit.space
+    for name, part in each_log(fit).items():
         # from the system's own prior, as if the log were alone
         step = part.step - part.pull @ fit.z
         values = space.theta_of(space.clip(fit.z + step))

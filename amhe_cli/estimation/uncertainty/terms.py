@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from amhe_cli.core.parameters import Parameter, ParameterSpace
+from amhe_cli.core.parameters import Parameter
 from amhe_cli.core.statistics import correlation, positive, root
 from amhe_cli.estimation.core.information import information
-from amhe_cli.estimation.uncertainty.fit import FinalFit, Posterior
+from amhe_cli.estimation.uncertainty.fit import FinalFit, doubled_step
 from amhe_cli.estimation.uncertainty.ledger import Source, Term, term_of
 
 #: Share of the largest error's sd below which a direction has no error.
@@ -26,19 +26,19 @@ def noise(fit: FinalFit) -> Term:
     return term_of("noise", fit.posterior.noise)
 
 
-def prior(space: ParameterSpace, fit: FinalFit) -> Term:
+def prior(fit: FinalFit) -> Term:
     """What the estimate owes to the priors, H^-1 P H^-1: one error for each parameter's prior.
 
     The part that a belief says to come from the model, P S P of P, is in the shared term `inherited`.
     """
-    own = space.prior_precision
+    space, precision = fit.space, fit.space.prior_precision
     if space.prior_systematic is not None:
-        own = positive(own - own @ np.array(space.prior_systematic) @ own)
+        precision = positive(precision - precision @ np.array(space.prior_systematic) @ precision)
     sources = (
         Source(f"your prior of {p.name}", f"{p.nominal:.4g}", *_width(p), parameter=p.name)
         for p in space.parameters
     )
-    return Term("prior", fit.posterior.inverse @ root(own), tuple(sources))
+    return Term("prior", fit.posterior.inverse @ root(precision), tuple(sources))
 
 
 def _width(parameter: Parameter) -> tuple[float, str]:
@@ -48,23 +48,23 @@ def _width(parameter: Parameter) -> tuple[float, str]:
     return parameter.prior_sd, parameter.unit.replace("-", "")
 
 
-def repeats(space: ParameterSpace, fit: FinalFit) -> Term:
+def repeats(fit: FinalFit) -> Term:
     """What the model's own errors add.
 
     Noise averages out over clips. What the model gets wrong does not: it returns with each motion like it. So
     what repeats within a clip, the autocorrelation of its residuals, counts once for all clips, and not once
     for each: n clips of autocorrelation time t are one of time 1 + n (t - 1). White residuals add nothing.
     """
-    before = space.loose_precision
+    before = fit.space.loose_precision
     alike = information(fit.slopes, repeats=float(fit.weight.sum()))
     once = before + np.einsum("c,cij->ij", fit.weight, alike.curvature)
     each = before + fit.posterior.hessian - fit.posterior.prior
     return term_of("repeats", np.linalg.inv(once) - np.linalg.inv(each), shared=True)
 
 
-def curvature(fit: FinalFit, doubled: Posterior) -> Term:
+def curvature(fit: FinalFit) -> Term:
     """How much the covariance grows when samples are twice as wide; nothing where the model is linear."""
-    return term_of("curvature", doubled.covariance - fit.posterior.covariance)
+    return term_of("curvature", doubled_step(fit).covariance - fit.posterior.covariance)
 
 
 def search(fit: FinalFit) -> Term:
@@ -72,14 +72,15 @@ def search(fit: FinalFit) -> Term:
     return Term("search", fit.left[:, None])
 
 
-def declared(space: ParameterSpace, fit: FinalFit, model_error: dict[str, float]) -> Term:
+def declared(fit: FinalFit) -> Term:
     """What `identify.model_error` says, an sd of each parameter; errors go together as the posterior's."""
-    sd = space.in_z([model_error.get(name, 0.0) for name in space.names])
+    model_error = fit.problem.settings.identify.model_error
+    sd = fit.space.in_z([model_error.get(name, 0.0) for name in fit.space.names])
     together = correlation(fit.posterior.covariance)
     return term_of("declared", sd[:, None] * together * sd, shared=True)
 
 
-def inherited(space: ParameterSpace, fit: FinalFit, terms: list[Term]) -> list[Term]:
+def inherited(fit: FinalFit, terms: list[Term]) -> list[Term]:
     """Terms of logs whose prior is a belief with a shared part S, which errs as these logs do.
 
     The shared errors of these logs move the estimate by 1 - G of themselves, where the prior has the weight
@@ -88,6 +89,7 @@ def inherited(space: ParameterSpace, fit: FinalFit, terms: list[Term]) -> list[T
     Nobody knows the causes of the rest: they count as the same, so that the errors add up, and not their
     squares.
     """
+    space = fit.space
     if space.prior_systematic is None:
         return terms
     pull = fit.posterior.pull

@@ -8,22 +8,22 @@ leaves noise.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from amhe_cli.core import rotations
-from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray, to_host
+from amhe_cli.core.arrays import AnyArray, BoolArray, FloatArray, IntArray, to_host
 from amhe_cli.core.each_log import averaged, values_on
 from amhe_cli.core.log import Window
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.estimation.core.agreement import SURPRISE
-from amhe_cli.estimation.core.information import information
+from amhe_cli.estimation.core.information import gauss_newton_step, information
 from amhe_cli.estimation.core.result import Fit, HeldOut, SpanError
 from amhe_cli.estimation.offline.clips import ClipPool, clip_name
 from amhe_cli.estimation.offline.problem import FEWEST, Problem
-from amhe_cli.estimation.uncertainty.fit import FinalFit, Finding, Scored, scored
+from amhe_cli.estimation.uncertainty.fit import FinalFit, scored
 from amhe_cli.matching.cost import MatchingCost, measures
 from amhe_cli.matching.windows import Observed
 
@@ -43,40 +43,38 @@ STUDENT = (22.3, 10.2, 7.2, 5.9, 5.2, 4.5, 4.1, 3.7, 3.4, 3.1)
 SHOWN = 3
 
 
-def with_own_values(
-    problem: Problem, windows: Sequence[Window], z: FloatArray, shape: FloatArray, scale: Mapping[str, float]
-) -> tuple[list[Window], list[str]]:
+def with_own_values(fit: FinalFit, windows: Sequence[Window]) -> tuple[list[Window], list[str]]:
     """Held-out clips whose logs know the values that they have of their own, and these values in words.
 
     No fitted log has them: they are fitted as first states are, around the mean of the fitted logs' values,
     with the parameter's prior sd.
 
     Args:
-        problem: The problem.
+        fit: The fitted logs.
         windows: The clips.
-        z: Values of the fitted logs, shape (d,).
-        shape: Shape of the samples of z, (d, d).
-        scale: Channel -> residual sd over declared noise sd.
     """
-    space, model, logs, notes = problem.system.space, problem.system.edits.space, {}, []
+    problem, space, z, logs, notes = fit.problem, fit.space, fit.z, {}, []
+    model = problem.system.edits.space
     for log in {id(window.log): window.log for window in windows}.values():
         logs[id(log)] = log
         if not (own := averaged(log, model, space)):
             continue
-        cost = problem.cost([window for window in windows if window.log is log], scale)
+        cost = problem.cost([window for window in windows if window.log is log], fit.scale)
         first = problem.recorded(cost)
         along, away = np.zeros((len(z), len(own))), np.zeros(len(own))
         for column, members in enumerate(own.values()):
             along[members, column] = 1.0  # all of them move their mean
         for _ in range(OWN_STEPS):
             at = space.clip(z + along @ away)
-            found = information(
-                problem.linearised(cost, at, first, shape, problem.rng(5), straight=not problem.touches)
+            slopes = problem.linearised(
+                cost, at, first, fit.shape, problem.rng(5), straight=not problem.touches
             )
-            known = along.T @ found.matrix.sum(axis=0) @ along + np.eye(len(own))
-            step = np.linalg.solve(known, along.T @ found.score.sum(axis=0) + away)
-            away = away - step
-            if step @ known @ step < OWN_SETTLED**2:
+            matrix, score = information(slopes).summed(np.ones(len(cost.clips.windows)))
+            step, hessian = gauss_newton_step(
+                along.T @ matrix @ along, along.T @ score, np.eye(len(own)), away
+            )
+            away = away + step
+            if step @ hessian @ step < OWN_SETTLED**2:
                 break
         places = space.theta_of(space.clip(np.stack((z + along @ away, z))))
         fitted, mean = (
@@ -95,12 +93,12 @@ def with_own_values(
     return [replace(window, log=logs[id(window.log)]) for window in windows], notes
 
 
-def validate(problem: Problem, windows: Sequence[Window], finding: Finding) -> HeldOut | None:
+def validate(fit: FinalFit, windows: Sequence[Window]) -> HeldOut | None:
     """Costs and errors on clips that were not fitted, from their recorded first states."""
     if not windows:
         return None
-    cost = problem.cost(windows)
-    residuals = cost.residuals(np.stack((finding.z, np.zeros_like(finding.z))))
+    cost = fit.problem.cost(windows)
+    residuals = cost.residuals(np.stack((fit.z, np.zeros_like(fit.z))))
     costs = cost.costs_of(residuals)
     position, orientation = (cost.errors(residuals, quantity) for quantity in ("position", "orientation"))
     return HeldOut(
@@ -111,22 +109,21 @@ def validate(problem: Problem, windows: Sequence[Window], finding: Finding) -> H
         initial_position_error_m=_mean(position[1]),
         orientation_error_rad=_mean(orientation[0]),
         initial_orientation_error_rad=_mean(orientation[1]),
+        errors=tuple(_spans(cost, residuals.values)),
     )
 
 
-def judge(
-    problem: Problem, windows: Sequence[Window], fit: FinalFit, known: HeldOut
-) -> tuple[HeldOut, tuple[str, ...]]:
+def judge(fit: FinalFit, windows: Sequence[Window], known: HeldOut) -> tuple[HeldOut, tuple[str, ...]]:
     """Score held-out clips as fitted ones are, and compare them with those, and with the values before.
 
     Returns:
         What was known of them with the costs and errors from fitted first states, and what speaks against
         every value, in words.
     """
-    cost, places = problem.cost(windows, fit.scale), (fit.z, np.zeros_like(fit.z))
+    problem, places = fit.problem, (fit.z, np.zeros_like(fit.z))
+    cost = problem.cost(windows, fit.scale)
     now, before = (scored(problem, cost, z, fit.shape) for z in places)
-    declared = [fit.scale.get(o.channel.key, 1.0) for o in cost.clips.observed]
-    costs = [float(cost.rescaled(one.residuals, declared)[0]) for one in (now, before)]
+    costs = [float(cost.as_declared(one.residuals)[0]) for one in (now, before)]
     against = []
     # residuals of wrong values repeat more: with a time of its own, each would count by another measure
     times = [max(pair) for pair in zip(now.times, before.times, strict=True)]
@@ -143,20 +140,26 @@ def judge(
         losses = scored(problem, same, fit.z, fit.shape).losses
         for observed, loss in zip(same.clips.observed, losses, strict=True):
             fitted[observed.channel.key] = _for_each_sample(loss, observed)
-    for observed, loss, sd in zip(cost.clips.observed, now.losses, declared, strict=True):
+    for observed, loss in zip(cost.clips.observed, now.losses, strict=True):
         key, held = observed.channel.key, _for_each_sample(loss, observed)
-        scale[key] = sd * float(np.sqrt(held.mean() / observed.width)) if held.size else np.nan
+        scale[key] = (
+            fit.scale.get(key, 1.0) * float(np.sqrt(held.mean() / observed.width)) if held.size else np.nan
+        )
         if key in fitted and (ratio := misses_more(held, fitted[key])) is not None:
             against.append(
                 f"the model misses {key} of held-out clips {ratio:.1f} times as much as of fitted ones"
             )
-    spans = tuple(_spans(problem, cost, places, (now, before)))
-    if problem.system.match == "effort":  # there are no first states, and each instant stands for itself
-        whole = {span.channel: span for span in reversed(spans)}
-        spans = tuple(replace(whole[key], identified_fitted=math.nan) for key in sorted(whole))
+    errors = known.errors
+    if problem.system.match == "effort":  # there are no first states
         costs = [math.nan, math.nan]
+    else:
+        both = map(np.concatenate, zip(now.residuals.values, before.residuals.values, strict=True))
+        errors = tuple(
+            replace(recorded, identified_fitted=span.identified, initial_fitted=span.initial)
+            for recorded, span in zip(errors, _spans(cost, tuple(both)), strict=True)
+        )
     judged = replace(
-        known, fitted_cost=costs[0], initial_fitted_cost=costs[1], noise_scale=scale, errors=spans
+        known, fitted_cost=costs[0], initial_fitted_cost=costs[1], noise_scale=scale, errors=errors
     )
     return judged, tuple(against)
 
@@ -219,36 +222,26 @@ def misses_more(held: FloatArray, fitted: FloatArray) -> float | None:
     return ratio if ratio > CARRIES and difference > limit * chance else None
 
 
-def _spans(
-    problem: Problem,
-    cost: MatchingCost,
-    places: tuple[FloatArray, FloatArray],
-    fitted: tuple[Scored, Scored],
-) -> Iterator[SpanError]:
-    """Error of each channel over all of the clips, then over spans of them; now and before."""
-    recorded, dt = cost.residuals(np.stack(places)), problem.system.dt
-    longest = max(window.duration for window in cost.clips.windows)
+def _spans(cost: MatchingCost, residuals: Sequence[AnyArray]) -> Iterator[SpanError]:
+    """Error of each channel over all of the clips, then over spans of them.
+
+    Args:
+        cost: The cost on the clips.
+        residuals: Residuals under the estimate and under the values before, each channel (2, c, s, k).
+    """
+    longest, dt = max(window.duration for window in cost.clips.windows), cost.system.dt
     ends = [end for end in SPANS if end < 0.9 * longest] or [share * longest for share in SHARES]
     spans = [(0.0, longest), *zip((0.0, *ends), (*ends, longest), strict=True)]
-    for k, observed in enumerate(cost.clips.observed):
-        values = to_host(recorded.values[k])
-        now, before, *rest = (
-            _sizes(observed, one) for one in (*values, *(each.residuals.values[k][0] for each in fitted))
-        )
-        time = (observed.rows + 1) * dt
+    if cost.system.match == "effort":  # each instant stands for itself
+        spans = spans[:1]
+    for observed, values in zip(cost.clips.observed, map(to_host, residuals), strict=True):
+        identified, initial = (_sizes(observed, one) for one in values)
+        time, key, unit = (observed.rows + 1) * dt, observed.channel.key, observed.channel.unit
         for start, end in spans:
             inside = observed.mask & (time > start) & (time <= end + 0.5 * dt)
             if inside.any():
-                yield SpanError(
-                    channel=observed.channel.key,
-                    unit=observed.channel.unit,
-                    start=start,
-                    end=end,
-                    initial=float(before[inside].mean()),
-                    identified=float(now[inside].mean()),
-                    initial_fitted=float(rest[1][inside].mean()),
-                    identified_fitted=float(rest[0][inside].mean()),
-                )
+                errors = float(initial[inside].mean()), float(identified[inside].mean())
+                yield SpanError(key, unit, start, end, *errors)
 
 
 def _sizes(observed: Observed, residuals: FloatArray) -> FloatArray:

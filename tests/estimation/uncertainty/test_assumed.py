@@ -25,7 +25,7 @@ from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.uncertainty import assumed as module
 from amhe_cli.estimation.uncertainty.assumed import _against, allowed, assumed
-from amhe_cli.estimation.uncertainty.fit import final_fit
+from amhe_cli.estimation.uncertainty.fit import FinalFit, final_fit
 from amhe_cli.estimation.uncertainty.ledger import Source, Term
 from amhe_cli.system.description.load import find_system
 from amhe_cli.system.system import System
@@ -116,7 +116,7 @@ def posed(system: System, log: Log) -> Problem:
 def terms(system: System, log: Log, at: np.ndarray = TRUTH) -> Term:
     """What the estimate owes to assumed values, at the truth or at other values."""
     problem = posed(system, log)
-    return assumed(problem, final_fit(problem, search.restart(problem, system.space.z_of(at))))[0]
+    return assumed(final_fit(problem, search.restart(problem, system.space.z_of(at))))[0]
 
 
 def about(found: Term, word: str) -> tuple[Source, np.ndarray]:
@@ -217,8 +217,7 @@ def test_only_what_moves_the_estimate_is_a_source() -> None:
 def test_what_is_taken_as_exact_is_listed_where_it_acts(given: dict[str, float], exact: set[str]) -> None:
     system = pendulum(50.0, **given)
     problem = posed(system, swing(system, unchanged, 2.0))
-    fit = final_fit(problem, search.restart(problem, system.space.z_of(TRUTH)))
-    listed = assumed(problem, fit)[1]
+    listed = assumed(final_fit(problem, search.restart(problem, system.space.z_of(TRUTH))))[1]
     assert set(listed) == exact and len(listed) == len(exact), "no limit is reached, and no spring is there"
 
 
@@ -311,7 +310,7 @@ def test_a_change_is_allowed_until_the_misfit_has_risen_by_nine() -> None:
     assert allowed(36.0) == pytest.approx(0.5), "the misfit rises with the square of the change"
 
 
-def sliding(noise: float, executor: Executor | None = None) -> tuple[Problem, Any]:
+def sliding(noise: float, executor: Executor | None = None) -> FinalFit:
     """A sliding cube's final fit at the truth, of a log with this noise [SI]."""
     system = System.load("cube_toss", {**CHEAP, "clips": {"count": 4, "length": [0.1, 0.2]}})
     channels = tuple(replace(channel, noise=noise) for channel in system.channels)
@@ -321,18 +320,18 @@ def sliding(noise: float, executor: Executor | None = None) -> tuple[Problem, An
     problem = Problem(system, pool, engine, 0)
     z = np.zeros(len(system.space))
     z[0] = system.space.z_of(np.array([0.3, *system.space.nominal[1:]]))[0]
-    return problem, final_fit(problem, search.restart(problem, z))
+    return final_fit(problem, search.restart(problem, z))
 
 
 def test_numerical_choices_are_rows_of_one_sd_each() -> None:
     """Contacts: half a factor of two, from twice as soft and twice as hard; the step: all the way to zero."""
-    problem, fit = sliding(1e-2)
+    fit = sliding(1e-2)
     values: Iterator[float] = iter([4.0, 1.0, 0.5, 7.0])  # softer, harder, solved for longer, half the step
     blank: Any = SimpleNamespace(
         fit=fit,
         changed=lambda cost: (module._Change(Source(""), v := np.full(2, next(values)), v[None]), 0.0),
     )
-    rows = list(module._changes(problem, blank))
+    rows = list(module._changes(blank))
     assert [change.source.name for change in rows] == [
         "the softness of contacts",
         "the softness of contacts",
@@ -350,8 +349,7 @@ def test_a_sharp_log_that_rules_other_contacts_out_allows_less_of_them() -> None
     """Of a blunt log, jitter decides which of the contacts explains it no worse."""
     moves = []
     for noise in (1e-4, 2e-2):
-        problem, fit = sliding(noise)
-        term, _ = assumed(problem, fit)
+        term, _ = assumed(sliding(noise))
         rows = [k for k, source in enumerate(term.sources) if "contacts" in source.name]
         moves.append(np.abs(term.errors[:, rows]).max())
     assert moves[0] < 0.3 * moves[1]
@@ -365,9 +363,9 @@ def test_variants_are_rolled_out_by_the_workers_that_were_given() -> None:
             models.add(args[0])
             return super().submit(fn, *args, **kwargs)
 
-    here = assumed(*sliding(1e-4))[0]
+    here = assumed(sliding(1e-4))[0]
     with Noting(1) as executor:
-        spread = assumed(*sliding(1e-4, executor))[0]
+        spread = assumed(sliding(1e-4, executor))[0]
     assert len(models) >= 5, "the model itself, softer, harder, at half the step, solved for longer"
     np.testing.assert_array_equal(here.errors, spread.errors)
 

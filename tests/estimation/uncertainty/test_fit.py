@@ -14,7 +14,7 @@ import pytest
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Log, Series
 from amhe_cli.engine.open import open_engine
-from amhe_cli.estimation.conclude import PARTS, conclude
+from amhe_cli.estimation.conclude import PARTS, Search, conclude
 from amhe_cli.estimation.core.agreement import difference
 from amhe_cli.estimation.core.information import Information, information, marginalised
 from amhe_cli.estimation.offline import search
@@ -60,11 +60,13 @@ def test_a_prior_of_twice_the_sd_weighs_a_quarter() -> None:
     """The estimate moves to that of least squares under such a prior of one parameter."""
     found, prior, z = linear(3), np.array([[40.0, 12.0], [12.0, 30.0]]), np.array([0.1, 0.2])
     own = posterior(z, found, np.ones(3), prior)
-    fit: Any = SimpleNamespace(posterior=own, found=found, weight=np.ones(3), z=z)
+    problem = SimpleNamespace(active=np.ones(2, dtype=bool))
+    fit: Any = SimpleNamespace(problem=problem, posterior=own, information=found, weight=np.ones(3), z=z)
     for i, wider in enumerate(([[10.0, 6.0], [6.0, 30.0]], [[40.0, 6.0], [6.0, 7.5]])):
         moved = posterior(z, found, np.ones(3), np.array(wider)).step[i] - own.step[i]
-        assert doubled_prior(fit, np.ones(2, dtype=bool))[i] == pytest.approx(moved) and abs(moved) > 1e-3
-    assert not doubled_prior(fit, np.zeros(2, dtype=bool)).any()
+        assert doubled_prior(fit)[i] == pytest.approx(moved) and abs(moved) > 1e-3
+    problem.active[:] = False
+    assert not doubled_prior(fit).any()
 
 
 def test_under_white_noise_the_sandwich_is_the_inverse_of_the_information() -> None:
@@ -166,11 +168,11 @@ def test_a_clip_that_is_left_out_and_contradicts_the_others_speaks_against_every
     problem, found = at_truth(pendulum, changed(swing(6.2), "command.position", np.negative))
     watch = Watch(lambda record, total: None, None, PARTS)
     watch.interrupted = True  # no other check
-    fit = final_fit(problem, found)
-    short = conclude(problem, found, fit, [], watch, problem.system.space)
+    ended = Search(problem, found, [], watch, problem.system.space)
+    short = conclude(ended)
     assert short.unexplained == (watch.short,) and "it was interrupted" in watch.short
     assert "the model may lack" not in caplog.text
-    result = conclude(problem, replace(found, stage="done"), fit, [], watch, problem.system.space)
+    result = conclude(replace(ended, finding=replace(found, stage="done")))
     assert {p.verdict for p in result.parameters} == {"model-sensitive"}
     (reason,) = result.unexplained
     assert "of swing 2.40-3.00 s by" in reason and "`cost.trim` leaves it out" in reason
@@ -226,27 +228,25 @@ def test_a_gain_that_is_a_parameter_is_not_fixed(pendulum) -> None:
     assert held_fixed(free, "joints.position") == ["the force limit of servo", "the commands' delay"]
 
 
-def of_wrong_armature(pendulum: System, log: Log) -> tuple[System, FinalFit]:
+def of_wrong_armature(pendulum: System, log: Log) -> FinalFit:
     """The last linearisation under an armature that is fixed at a wrong value."""
     system = pendulum.fixing({"armature": 0.007})
     problem = Problem(system, ClipPool(system, [whole(log)], system.settings.clips), open_engine(system), 0)
-    return system, final_fit(problem, search.restart(problem, system.space.z_of(TRUTH[:3])))
+    return final_fit(problem, search.restart(problem, system.space.z_of(TRUTH[:3])))
 
 
 def test_a_warning_names_three_things_and_counts_the_rest(pendulum, swing, caplog) -> None:
-    report_misfit(*of_wrong_armature(pendulum, swing(4.0)))
+    report_misfit(of_wrong_armature(pendulum, swing(4.0)))
     listed = "now fixed are the gain of servo, the force limit of servo, armature at 0.007 and 1 more"
     assert listed in caplog.text and "play" not in caplog.text
 
 
 def test_no_noise_is_advised_that_is_larger_than_all_motion(pendulum, swing) -> None:
     log = swing(4.0)
-    (reason, *_) = unexplained(*of_wrong_armature(pendulum, log))
+    (reason, *_) = unexplained(of_wrong_armature(pendulum, log))
     assert "declare what it misses, noise: {" in reason
     degrees = {
         key: replace(log[key], values=np.degrees(log[key].values)) for key in log.series if "joints" in key
     }
-    (reason, *_) = unexplained(
-        *of_wrong_armature(pendulum, Log(log.dt, {**log.series, **degrees}, "degrees"))
-    )
+    (reason, *_) = unexplained(of_wrong_armature(pendulum, Log(log.dt, {**log.series, **degrees}, "degrees")))
     assert "joints.position" in reason and "noise: {" not in reason

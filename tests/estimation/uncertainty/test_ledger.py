@@ -21,22 +21,21 @@ SPACE = ParameterSpace(tuple(Parameter(name, "-", 1.0, 0.01, 100.0, True, 0.5) f
 RNG = np.random.default_rng(0)
 
 
-def fit_of(slopes: FloatArray, prior: FloatArray, residual: FloatArray | None = None, **more: Any) -> Any:
+def fit_of(slopes: FloatArray, space: ParameterSpace = SPACE, **more: Any) -> Any:
     """A final fit at z = 0 of clips with these slopes (c, d, R) and noise of sd 1."""
     clips, d, samples = slopes.shape
-    r = np.zeros((clips, samples)) if residual is None else residual
-    found = marginalised(
-        r, slopes, np.zeros((clips, 0, samples)), np.ones((clips, samples)), np.zeros((clips, 0))
+    weight, zero = np.ones(clips), np.zeros((clips, samples))
+    told = marginalised(zero, slopes, np.zeros((clips, 0, samples)), zero + 1.0, np.zeros((clips, 0)))
+    known = posterior(np.zeros(d), told, weight, space.prior_precision)
+    return SimpleNamespace(
+        z=np.zeros(d), space=space, information=told, weight=weight, posterior=known, **more
     )
-    weight = np.ones(clips)
-    own = posterior(np.zeros(d), found, weight, prior)
-    return SimpleNamespace(z=np.zeros(d), found=found, weight=weight, posterior=own, **more)
 
 
 def ledger(turn: FloatArray) -> tuple[Ledger, FloatArray]:
     """Terms of a linear problem in coordinates that `turn` (3, 3) makes of it, and their covariance."""
     rng = np.random.default_rng(3)
-    fit = fit_of(rng.standard_normal((5, 3, 8)), np.eye(3))
+    fit = fit_of(rng.standard_normal((5, 3, 8)))
     hessian, scatter = (turn @ m @ turn.T for m in (fit.posterior.hessian, fit.posterior.scatter))
     inverse, gain = np.linalg.inv(hessian), turn @ rng.standard_normal((3, 2))
     known, mean = np.diag([0.3, 0.8]), np.array([1.5, -0.2])
@@ -105,8 +104,8 @@ def test_noise_and_priors_are_all_of_a_linear_problem() -> None:
     """H^-1 (B + P) H^-1; each prior has its own error, exactly, whatever is known together."""
     together = ((1.0, 0.6, 0.0), (0.6, 1.0, 0.0), (0.0, 0.0, 1.0))
     space = ParameterSpace(SPACE.parameters, together)
-    fit = fit_of(RNG.standard_normal((6, 3, 10)) * [[1.0], [1.0], [0.0]], space.prior_precision)
-    both = Ledger((terms.noise(fit), terms.prior(space, fit)))
+    fit = fit_of(RNG.standard_normal((6, 3, 10)) * [[1.0], [1.0], [0.0]], space)
+    both = Ledger((terms.noise(fit), terms.prior(fit)))
     np.testing.assert_allclose(both.covariance, fit.posterior.covariance, atol=1e-12)
     assert both.sd[2] == pytest.approx(1.0) and both.budget(2) == pytest.approx({"prior": 1.0})
     assert [source.parameter for source in both.terms[1].sources] == list("abc")
@@ -115,19 +114,23 @@ def test_noise_and_priors_are_all_of_a_linear_problem() -> None:
 
 
 def test_an_unfinished_search_and_a_declared_error_are_terms() -> None:
-    fit = fit_of(RNG.standard_normal((6, 3, 10)), np.eye(3), left=np.array([0.3, 0.0, -0.1]))
+    settings: Any = SimpleNamespace(identify=SimpleNamespace(model_error={"b": 0.05}))
+    problem = SimpleNamespace(settings=settings)
+    fit = fit_of(RNG.standard_normal((6, 3, 10)), left=np.array([0.3, 0.0, -0.1]), problem=problem)
     assert Ledger((terms.search(fit),)).sd == pytest.approx([0.3, 0.0, 0.1])
-    declared = terms.declared(SPACE, fit, {"b": 0.05})
+    declared = terms.declared(fit)
     assert Ledger((declared,)).sd == pytest.approx([0.0, 0.1, 0.0]), "5 % of a prior of sd 50 %"
     assert declared.shared
 
 
-def test_curvature_is_what_wider_samples_add() -> None:
+def test_curvature_is_what_wider_samples_add(monkeypatch: pytest.MonkeyPatch) -> None:
     slopes = RNG.standard_normal((6, 3, 10))
-    fit, wide = fit_of(slopes, np.eye(3)), fit_of(0.5 * slopes, np.eye(3))
-    added = terms.curvature(fit, wide.posterior)
+    fit, wide = fit_of(slopes), fit_of(0.5 * slopes)
+    other = {id(fit): wide.posterior, id(wide): fit.posterior}
+    monkeypatch.setattr(terms, "doubled_step", lambda one: other[id(one)])
+    added = terms.curvature(fit)
     np.testing.assert_allclose(fit.posterior.covariance + added.covariance, wide.posterior.covariance)
-    assert not terms.curvature(wide, fit.posterior).covariance.any(), "none where they are sharper"
+    assert not terms.curvature(wide).covariance.any(), "none where they are sharper"
 
 
 # -- what repeats --------------------------------------------------------------------------------------------
@@ -148,8 +151,8 @@ def repeating(residual: FloatArray) -> tuple[float, float]:
     )
     weight = np.ones(clips)
     own = posterior(np.zeros(1), information(slopes), weight, np.eye(1))
-    fit: Any = SimpleNamespace(slopes=slopes, weight=weight, posterior=own)
-    term = terms.repeats(ParameterSpace(SPACE.parameters[:1]), fit)
+    space = ParameterSpace(SPACE.parameters[:1])
+    term = terms.repeats(SimpleNamespace(slopes=slopes, weight=weight, posterior=own, space=space))  # type: ignore[arg-type]
     assert term.shared
     return float(own.inverse[0, 0]), float(term.covariance[0, 0])
 
@@ -180,14 +183,14 @@ def test_errors_of_one_cause_add_up_exactly_in_any_direction() -> None:
         space = ParameterSpace(
             SPACE.parameters, tuple(map(tuple, prior.tolist())), tuple(map(tuple, systematic.tolist()))
         )
-        fit = fit_of(rng.normal(size=(4, 3, 3)), space.prior_precision)
+        fit = fit_of(rng.normal(size=(4, 3, 3)), space)
         shared = Term("assumed", 0.1 * rng.normal(size=(3, 4)), shared=True)
-        found = Ledger(tuple(terms.inherited(space, fit, [shared])))
+        found = Ledger(tuple(terms.inherited(fit, [shared])))
         pull = fit.posterior.pull
         rest = (np.eye(3) - pull) @ shared.errors
         both = root(rest @ rest.T) + root(pull @ systematic @ pull.T)
         np.testing.assert_allclose(found.shared, both @ both, atol=1e-10)
-    assert terms.inherited(SPACE, None, []) == []  # type: ignore[arg-type]
+    assert terms.inherited(fit_of(RNG.normal(size=(4, 3, 3))), []) == []
 
 
 def test_errors_of_one_named_cause_cancel_and_those_of_a_load_are_another_loads() -> None:
@@ -199,9 +202,9 @@ def test_errors_of_one_named_cause_cancel_and_those_of_a_load_are_another_loads(
     rows = (tuple(map(tuple, matrix.tolist())) for matrix in (prior, systematic))
     owed = tuple(zip(("tilt", "lever"), map(tuple, (0.2 * known.T).tolist()), strict=True))
     space = ParameterSpace(SPACE.parameters, *rows, owed)
-    fit = fit_of(rng.normal(size=(4, 3, 3)), space.prior_precision)
+    fit = fit_of(rng.normal(size=(4, 3, 3)), space)
     sources = (Source("tilt"), Source("lever", of_load=True))
-    found = Ledger(tuple(terms.inherited(space, fit, [Term("assumed", own, sources, shared=True)])))
+    found = Ledger(tuple(terms.inherited(fit, [Term("assumed", own, sources, shared=True)])))
     pull = fit.posterior.pull
     before, after = pull @ (0.2 * known), (np.eye(3) - pull) @ own
     one = before[:, 0] + after[:, 0]

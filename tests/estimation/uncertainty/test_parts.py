@@ -58,11 +58,12 @@ def compared(truths: FloatArray, known: Sequence[FloatArray], rng: np.random.Gen
     z = posterior(zero, found(zero), weight, prior).step
     channel = SimpleNamespace(channel=SimpleNamespace(key="joints.position", quantity="position"))
     slopes = SimpleNamespace(cost=SimpleNamespace(clips=SimpleNamespace(observed=[channel])))
-    fit: Any = SimpleNamespace(
-        z=z, found=found(z), weight=weight, posterior=posterior(z, found(z), weight, prior), slopes=slopes
-    )
     problem: Any = SimpleNamespace(clips=[SimpleNamespace(log=log) for log in logs for _ in range(CLIPS)])
-    return parts(problem, None, fit, with_halves=False)  # type: ignore[arg-type]
+    joint = posterior(z, found(z), weight, prior)
+    fit: Any = SimpleNamespace(
+        z=z, problem=problem, information=found(z), weight=weight, posterior=joint, slopes=slopes
+    )
+    return parts(fit, with_halves=False)
 
 
 ONE = np.array([[100.0]])  # known to 0.01
@@ -152,10 +153,10 @@ def test_a_drift_beyond_noise_is_reported(caplog: pytest.LogCaptureFixture) -> N
     apart[4:7] = np.log1p([0.2, 0.4, 0.01]) / 0.5
     errors = (apart / np.sqrt(2.0))[:, None]
     elsewhere, halves = (Source(name, apart=tuple(apart)) for name in ("a and b", " and ".join(HALVES)))
-    noise = np.full(9, 0.1)
-    report_drift(space, Term("parts", errors, (elsewhere,)), noise)
+    fit: Any = SimpleNamespace(space=space, posterior=SimpleNamespace(sd=np.full(9, 0.1)))
+    report_drift(fit, Term("parts", errors, (elsewhere,)))
     assert not caplog.messages
-    report_drift(space, Term("parts", errors, (halves,)), noise)
+    report_drift(fit, Term("parts", errors, (halves,)))
     (text,) = caplog.messages
     assert "their second half wants friction5 +40%, friction4 +20% against the first:" in text
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -151,8 +152,10 @@ def test_wrong_values_do_not_gain_by_residuals_that_repeat() -> None:
 
 def scored_as(loss: float, time: float) -> Scored:
     """Three clips of 70 samples with one loss a sample, and squared first-state errors of 2."""
+    cost: Any = SimpleNamespace(losses=lambda residuals: [np.full((1, 3), 70.0 * loss)])
+    done: Any = SimpleNamespace(completed=np.ones((1, 3), dtype=bool))
     none: Any = None
-    return Scored(none, [np.full(3, 70.0 * loss)], (time,), np.full(3, 2.0), none)
+    return Scored(cost, done, np.ones((3, 2)), (time,), none)
 
 
 @pytest.fixture(scope="module")
