@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import mujoco
 import mujoco.batch
@@ -223,18 +224,19 @@ class CpuEngine:
         self, gear: GearFriction, batch: mujoco.batch.Batch, some: slice | IntArray, every: int
     ) -> Callable[[], None]:
         """What sets how much friction can hold in some simulations, by the newest forces."""
-        numbers = self._fields["numeric_data"][some][:, gear.at]
-        own = self._fields["dof_frictionloss"][some]
-        dry, holds, now = own[:, gear.dofs], batch.expand("dof_frictionloss"), None
-        place = (some, gear.dofs) if isinstance(some, slice) else (some[:, None], gear.dofs)
-        forces = [batch.bind(name) for name in _FORCES]
+        own, holds = self._fields["dof_frictionloss"][some], batch.expand("dof_frictionloss")
+        bound = gear.law(self._fields["numeric_data"][some][:, gear.at], own[:, gear.dofs])
+        place: Any = (some, gear.dofs) if isinstance(some, slice) else (some[:, None], gear.dofs)
+        if len(gear.dofs) == self._model.nv and isinstance(some, slice):
+            place = some  # a view of all is quicker than a copy
+        forces, now = [batch.bind(name) for name in _FORCES], None
         holds[some] = own
 
         def hold() -> None:
             nonlocal now
             motor, damper, smooth, constraint, speed = (force[place] for force in forces)
             external = smooth - damper - motor + beyond(constraint, holds[place])
-            before, now = now, gear.bound(numbers, dry, motor, external, speed)
+            before, now = now, bound(motor, external, speed)
             holds[place] = now if before is None else ahead(now, before, every)
 
         return hold

@@ -120,13 +120,8 @@ def forces_along(
         motor[k], smooth[k] = data.qfrc_actuator, data.qfrc_passive - data.qfrc_bias - data.qfrc_damper
     if gear is not None and inputs is not None:
         own, dofs = motor[:, gear.dofs], gear.dofs
-        friction[:, dofs] = gear.bound(
-            numbers=model.numeric_data[gear.at][None],
-            dry=model.dof_frictionloss[None, dofs],
-            motor=own,
-            external=smooth[:, dofs] + given[:, dofs] - own,
-            speed=qvel[:, dofs],
-        )
+        bound = gear.law(model.numeric_data[gear.at][None], model.dof_frictionloss[None, dofs])
+        friction[:, dofs] = bound(own, smooth[:, dofs] + given[:, dofs] - own, qvel[:, dofs])
     return Forces(needed, given, by, friction, mass)
 
 
@@ -275,10 +270,9 @@ class InverseEngine:
         numbers, speed = of("numeric_data", gear.at), along.qvel[..., gear.dofs]
         external = viscous * speed - self._efforts(theta, slow)[..., gear.dofs]
         way, motor = along.dry[..., gear.dofs], efforts[..., gear.dofs]
-        found = np.zeros(external.shape)
+        bound, found = gear.law(numbers, dry), np.zeros(external.shape)
         for _ in range(3):
-            bound = gear.bound(numbers, dry, motor + found, external, speed)
-            found = way * (bound - dry)
+            found = way * (bound(motor + found, external, speed) - dry)
         return found
 
     def upon(self, model: mujoco.MjModel, edits: ModelEdits | None = None) -> InverseEngine:

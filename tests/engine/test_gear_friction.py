@@ -151,12 +151,12 @@ def test_contacts_load_the_gear_and_friction_itself_does_not() -> None:
     model = hoist().model
     gear = GearFriction.of(model)
     assert gear is not None
-    numbers = model.numeric_data[gear.at][None]
+    bound = gear.law(model.numeric_data[gear.at][None], np.full((1, 1), DRY))
     speed, holds = np.zeros((1, 1)), np.full((1, 1), 6.5)
 
     def law(constraint: np.ndarray, speed: np.ndarray, holds: np.ndarray) -> np.ndarray:
         external = beyond(constraint, holds) - 20.0
-        return gear.bound(numbers, np.full((1, 1), DRY), np.zeros((1, 1)), external, speed)
+        return bound(np.zeros((1, 1)), external, speed)
 
     assert law(np.array([[6.5]]), speed, holds).item() == pytest.approx(DRY + 0.3 * 20.0)
     assert law(np.array([[16.5]]), speed, holds).item() == pytest.approx(DRY + 0.3 * 10.0)

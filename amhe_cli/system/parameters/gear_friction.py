@@ -17,7 +17,7 @@ part of it like all others, which MuJoCo only keeps.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 import mujoco
@@ -75,38 +75,37 @@ class GearFriction:
             return None
         return cls(model.jnt_dofadr[list(acting)].astype(np.int64), np.array(list(acting.values())))
 
-    def bound(
-        self,
-        numbers: FloatArray,
-        dry: FloatArray,
-        motor: FloatArray,
-        external: FloatArray,
-        speed: FloatArray,
-    ) -> FloatArray:
-        """What friction of n simulations can hold at most [N m], shape (n, g).
+    def law(self, numbers: FloatArray, dry: FloatArray) -> Callable[..., FloatArray]:
+        """What friction of n simulations can hold at most [N m] by motor, external, speed; shape (n, g).
 
-        All arguments are of these joints.
+        These are tau_m, tau_e and dq, each (n, g). An engine asks at each update, so terms that are zero for
+        all are left out, and what can be known beforehand is.
 
         Args:
-            numbers: Their numbers, shape (n, g, 8).
-            dry: f_c, shape (n, g).
-            motor: tau_m, shape (n, g).
-            external: tau_e, shape (n, g).
-            speed: dq, shape (n, g).
+            numbers: The numbers of the joints, shape (n or 1, g, 8).
+            dry: Their f_c, shape (n or 1, g).
         """
-        k_m, k_e, f_s, v_s, power, k_ms, k_es, quadratic = np.moveaxis(numbers, -1, 0)
-        found = dry + _under_load(k_e, external, k_m, motor)
-        if f_s.any() or k_es.any() or k_ms.any():  # terms of zero would take half of the time
-            slow = np.exp(-(np.abs(speed / v_s) ** power))
-            found += slow * (f_s + _under_load(k_es, external, k_ms, motor))
-        if quadratic.any():
-            found += quadratic * np.maximum(-motor * external, 0.0)
-        return np.maximum(found, 0.0)
+        k_m, k_e, f_s, v_s, power, k_ms, k_es, quadratic = np.moveaxis(numbers, -1, 0).copy()
+        constant, of_load, of_slow = dry.copy(), _under_load(k_e, k_m), _under_load(k_es, k_ms)
+        grows, bent, pulls = k_es.any() or k_ms.any(), (power != 1.0).any(), quadratic.any()
+        slows = grows or f_s.any()
+
+        def bound(motor: FloatArray, external: FloatArray, speed: FloatArray) -> FloatArray:
+            found = constant + of_load(external, motor)
+            if slows:
+                share = np.abs(speed / v_s)
+                slow = np.exp(-(share**power if bent else share))
+                found += slow * (f_s + of_slow(external, motor)) if grows else slow * f_s
+            if pulls:
+                found += quadratic * np.maximum(-motor * external, 0.0)
+            return np.maximum(found, 0.0, out=found)
+
+        return bound
 
 
 def beyond(constraint: FloatArray, holds: FloatArray) -> FloatArray:
     """What of the forces of constraints is external, not friction: all above what friction could hold."""
-    return np.sign(constraint) * np.maximum(np.abs(constraint) - holds, 0.0)
+    return constraint - np.minimum(np.maximum(constraint, -holds), holds)
 
 
 def ahead(now: FloatArray, before: FloatArray, every: int) -> FloatArray:
@@ -115,14 +114,21 @@ def ahead(now: FloatArray, before: FloatArray, every: int) -> FloatArray:
     The forces are those at the start of the last step, which lies half of so many steps and a half ago. Held
     as it was, friction lags; errors of positions are five to ten times as large then.
     """
-    line = now + (now - before) * (0.5 + 0.5 / every)
-    return np.clip(line, now / AHEAD, now * AHEAD)
+    share = 0.5 + 0.5 / every
+    line = (1.0 + share) * now - share * before
+    return np.minimum(np.maximum(line, now / AHEAD), now * AHEAD)
 
 
-def _under_load(k_e: FloatArray, external: FloatArray, k_m: FloatArray, motor: FloatArray) -> FloatArray:
+def _under_load(k_e: FloatArray, k_m: FloatArray) -> Callable[[FloatArray, FloatArray], FloatArray]:
     """|k_e tau_e - k_m tau_m|, odd in the k, so that a small k of unknown sign has a slope."""
-    sign = np.sign(k_e * np.abs(external) + k_m * np.abs(motor))
-    return sign * np.abs(k_e * external - k_m * motor)
+    if min(k_e.min(), k_m.min()) >= 0.0:
+        return lambda external, motor: np.abs(k_e * external - k_m * motor)
+
+    def signed(external: FloatArray, motor: FloatArray) -> FloatArray:
+        sign = np.sign(k_e * np.abs(external) + k_m * np.abs(motor))
+        return sign * np.abs(k_e * external - k_m * motor)
+
+    return signed
 
 
 def number_cells(model: mujoco.MjModel, joint: int, word: str) -> list[Cells]:
