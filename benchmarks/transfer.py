@@ -5,8 +5,10 @@
 
 For each plant free walking is recorded and the robot identified; then each task runs, without and with that
 robot. `--strangers N` adds robots that are drawn at random, with several differences at once, some of them
-no unknowns (feet that sink, heavier legs, soles): `s0`, `s1`, ... Each result is a line of JSON on the
-standard output, so that a run that was cut can go on from what it printed; a table follows them.
+no unknowns (feet that sink, heavier legs, soles): `s0`, `s1`, ... `--try JSON` repeats all runs under other
+settings, such as '{"control": {"samples": 5, "draws": 2}}' or '{"insisting": {"window": 0.5}}'.
+Each result is a line of JSON on the standard output, so that a run that was cut can go on from what it
+printed; a table follows them.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import os
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import suppress
+from functools import partial
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -27,12 +30,15 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from amhe_cli.api.identify import identify
-from amhe_cli.core.belief import Belief, belief_text, held_by
+from amhe_cli.core.belief import held_by
 from amhe_cli.core.errors import AmheError, Ending
 from amhe_cli.core.statistics import Z90
+from amhe_cli.core.yaml_file import merged
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.estimation.design.probe import ProbeOptions
 from amhe_cli.logs import read_log
+from amhe_cli.robots.go1.behaviours import walking
+from amhe_cli.robots.go1.behaviours.walking import Insisting
 from amhe_cli.robots.go1.judge import History, run_record
 from amhe_cli.robots.go1.kinematics import KINDS
 from amhe_cli.robots.go1.model import FOOT_FRICTION
@@ -42,9 +48,11 @@ from amhe_cli.robots.go1.probing.probe import PushProbe
 from amhe_cli.robots.go1.run import RunOptions, open_run
 from amhe_cli.system.system import System
 
-#: One run: plant, task, mode, whether the robot was identified first, seed.
-Cell = tuple[str, str, str, bool, int]
-_MOST_STRANGERS = 100
+#: One run: plant, task, mode, what is known of the robot (one of `KNOWN`), seed, other settings as JSON.
+Cell = tuple[str, str, str, str, int, str]
+#: Nothing; what its walk tells; and what that tells of a robot that was weighed, to 0.1 kg.
+KNOWN = ("unknown", "walk", "weighed")
+_MOST_STRANGERS, _SCALES = 100, 0.1
 
 
 def stranger(number: int) -> PlantShape:
@@ -83,10 +91,9 @@ def truth_of(shape: PlantShape) -> dict[str, float]:
         "command_latency": shape.latency, "foot_friction": shape.foot_friction or FOOT_FRICTION,
         "trunk_load": shape.load, "foot_overlap": -shape.sole,
     }  # fmt: skip
-    # feet that sink have neither number
-    return {
-        n: v for n, v in truth.items() if not shape.soft_feet or n not in ("foot_overlap", "foot_softness")
-    }
+    lacks = [f"joint_friction_{kind}" for kind in KINDS] if shape.load_friction else []
+    lacks += ["foot_overlap", "foot_softness"] if shape.soft_feet else []
+    return {name: value for name, value in truth.items() if name not in lacks}
 
 
 def main() -> None:
@@ -96,8 +103,9 @@ def main() -> None:
     parser.add_argument("--strangers", default="0", help="how many, or from A to below B: A:B")
     parser.add_argument("--tasks", default="t1,t2,t4", help="'' for none")
     parser.add_argument("--modes", default="true,adaptive")
-    parser.add_argument("--robot", default="unknown,known")
+    parser.add_argument("--robot", default="unknown,walk,weighed")
     parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--try", dest="tried", action="append", default=[], metavar="JSON")
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     parser.add_argument("--done", type=Path, nargs="*", default=[], help="what earlier runs printed")
     given = parser.parse_args()
@@ -110,7 +118,7 @@ def main() -> None:
     done = list(read(given.done))
     for record in done:
         print(json.dumps(record))
-    cells = product(plants, tasks, modes, [word == "known" for word in known], range(given.seeds))
+    cells = product(plants, tasks, modes, known, range(given.seeds), ["", *given.tried])
     for record in made(done, [*plants, *strangers], list(cells), given.workers):
         print(json.dumps(record), flush=True)
         done.append(record)
@@ -130,20 +138,22 @@ def made(
     done: list[dict[str, Any]], plants: list[str], cells: list[Cell], workers: int
 ) -> Iterator[dict[str, Any]]:
     """What is missing of robots and runs; runs with a robot begin when it is known."""
-    robots = {record["robot"]: record["belief"] for record in done if "robot" in record}
+    robots = {record["robot"]: record["held"] for record in done if "held" in record}
     cells = [cell for cell in cells if list(cell) not in [record.get("cell") for record in done]]
     with ProcessPoolExecutor(workers) as pool:
         running = {pool.submit(robot_of, plant) for plant in plants if plant not in robots}
-        running |= {pool.submit(run_cell, c, robots.get(c[0])) for c in cells if not c[3] or c[0] in robots}
-        waiting = [cell for cell in cells if cell[3] and cell[0] not in robots]
+        running |= {
+            pool.submit(run_cell, c, robots.get(c[0])) for c in cells if c[3] == "unknown" or c[0] in robots
+        }
+        waiting = [cell for cell in cells if cell[3] != "unknown" and cell[0] not in robots]
         while running:
             ended = next(as_completed(running))
             running.remove(ended)
             record = ended.result()
             yield record
-            if record.get("belief"):
+            if "held" in record:
                 mine = [cell for cell in waiting if cell[0] == record["robot"]]
-                running |= {pool.submit(run_cell, cell, record["belief"]) for cell in mine}
+                running |= {pool.submit(run_cell, cell, record["held"]) for cell in mine}
 
 
 def robot_of(plant: str) -> dict[str, Any]:
@@ -160,11 +170,18 @@ def robot_of(plant: str) -> dict[str, Any]:
         except AmheError as error:
             return {"robot": plant, "error": str(error)}
     truth, space = truth_of(PLANTS[plant]), system.space
+    weight = float(
+        truth["trunk_load"] + _SCALES * np.random.default_rng([40, sum(plant.encode())]).standard_normal()
+    )
     away = space.z_of(np.array([truth.get(name, np.nan) for name in space.names]))
     found, sd = space.z_of(result.belief.estimate), np.sqrt(np.diag(result.belief.covariance))
     return {
         "robot": plant,
-        "belief": belief_text(result.belief),
+        "held": {
+            "walk": held_by(result.belief),
+            "weighed": held_by(result.belief.given({"trunk_load": weight}))
+            | {"trunk_load": {"held": weight, "held_sd": _SCALES}},
+        },
         "truth": truth,
         "found": {p.name: [p.estimate, p.lower, p.upper] for p in result.parameters.values()},
         # errors and sds in units of the prior's sd
@@ -173,16 +190,13 @@ def robot_of(plant: str) -> dict[str, Any]:
     }
 
 
-def run_cell(cell: Cell, robot: str | None) -> dict[str, Any]:
-    """Run a task once, with a robot whose belief is given as text."""
+def run_cell(cell: Cell, robot: dict[str, Any] | None) -> dict[str, Any]:
+    """Run a task once, with what is known of the robot."""
     hush_mujoco()
-    plant, task, mode, known, seed = cell
-    settings: dict[str, Any] = {}
-    if known and robot:
-        with TemporaryDirectory() as folder:
-            path = Path(folder) / "belief.yaml"
-            path.write_text(robot, encoding="utf-8")
-            settings = {"parameters": held_by(Belief.load(path))}
+    plant, task, mode, known, seed, tried = cell
+    settings = {"parameters": robot[known]} if robot and known != "unknown" else {}
+    settings = merged(settings, json.loads(tried or "{}"))
+    walking.Insisting = partial(Insisting, **settings.pop("insisting", {}))  # type: ignore[misc]
     run = open_run(RunOptions(task, mode, seed=seed, plant=plant, settings=settings))
     history, ending = History(run.task), Ending()
     try:
@@ -213,14 +227,14 @@ def _inside(history: History) -> dict[str, bool]:
         return {}
     belief = history.estimates[-1].belief
     phi = np.where(belief.log, np.log(belief.estimate), belief.estimate)
-    true = np.array([history.truth[name] for name in belief.names])
+    true = np.array([history.truth.get(name, np.nan) for name in belief.names])
     far = np.abs(np.where(belief.log, np.log(true), true) - phi) <= Z90 * np.sqrt(np.diag(belief.covariance))
     return dict(zip(belief.names, map(bool, far), strict=True))
 
 
 def show_robots(robots: list[dict[str, Any]]) -> None:
     """How well the robots' own numbers were found."""
-    found = [record for record in robots if record.get("belief")]
+    found = [record for record in robots if "held" in record]
     for record in robots:
         if record not in found:
             print(record["robot"], record["error"])
@@ -237,18 +251,22 @@ def show_robots(robots: list[dict[str, Any]]) -> None:
 
 def show_runs(runs: list[dict[str, Any]]) -> None:
     """One line for each plant, mode and state of knowledge, over tasks and seeds."""
-    print("plant robot mode | runs goal on_time fell | rmse m/s, mu m error rms %, m and mu inside, miss")
-    groups = {(r["cell"][0], r["cell"][3], r["cell"][2]) for r in runs}
+    print("plant robot mode | runs goal on_time fell | rmse m/s, J, mu m error rms %, m and mu inside, miss")
+    groups = {(r["cell"][0], *r["cell"][2:4], *r["cell"][5:]) for r in runs}
     for group in (*sorted(groups), *sorted({("all", *rest) for _, *rest in groups})):
-        plant, known, mode = group
-        some = [r for r in runs if r["cell"][2:4] == [mode, known] and plant in ("all", r["cell"][0])]
-        print(plant, "known" if known else "unknown", mode, "|", *_line(some))
+        plant, *rest = group
+        some = [
+            r for r in runs if [*r["cell"][2:4], *r["cell"][5:]] == rest and plant in ("all", r["cell"][0])
+        ]
+        mode, known, *tried = rest
+        print(plant, known, mode, *tried, "|", *_line(some))
 
 
 def _line(some: list[dict[str, Any]]) -> Iterator[str]:
     yield f"{len(some)} {sum(r['success'] for r in some)} {sum(r['on_time'] for r in some)}"
     yield f"{sum(r['fell'] for r in some)} |"
     yield f"{np.mean([r['speed_rmse'] for r in some if r['speed_rmse'] is not None]):.4f}"
+    yield f"{np.mean([r['cost'] for r in some]):.0f}"
     products = [
         r[of]["box_mass"] * r[of]["floor_friction"] for r in some if r["truth"] for of in ("belief", "truth")
     ]
