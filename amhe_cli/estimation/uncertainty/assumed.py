@@ -19,6 +19,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -43,6 +44,8 @@ SMALL = 0.05
 FELT, FELT_IN_JITTER = 0.03, 0.3
 #: Factor on the sd of a first velocity that was differentiated, where assumed values are judged.
 BLIND = 10.0
+#: Step of a number, in its sd, beyond which the slopes of one sd say little.
+FAR = 1.0
 #: Share of the misfit that one number explains from which another explains it as well.
 AS_WELL = 0.5
 #: States of the rollouts that are examined for what acts in them, about.
@@ -177,6 +180,9 @@ def _regressed(fit: FinalFit, changes: Sequence[_Change], values: Sequence[Assum
     if nuisances.values:
         # samples that leave the ridge along which z follows a number would bend, and pass for information
         nuisances = nuisances.followed()
+        if np.abs(nuisances.posterior[1]).max() > FAR:
+            # a step from a fit that they bias ends where the residuals are others
+            nuisances = nuisances.moved()
     known, mean, moves = nuisances.posterior
     spread = known + np.outer(mean, mean)
     doubted = np.abs(mean) > SURPRISE * np.sqrt(known.diagonal())
@@ -198,6 +204,7 @@ class _Nuisances:
         changes: Those of known slope.
         values: Numbers of the model.
         slopes: Slopes of the residuals by all of them, shape (c, K, R); None: not computed yet.
+        at: Their values where `fit` was linearised, shape (K,); None: 0.
     """
 
     def __init__(
@@ -206,14 +213,16 @@ class _Nuisances:
         changes: Sequence[_Change],
         values: Sequence[Assumed],
         slopes: FloatArray | None = None,
+        at: FloatArray | None = None,
     ) -> None:
         self.problem, self.fit = fit.problem, fit
         self.changes, self.values = list(changes), list(values)
+        self._at = np.zeros(len(self.changes) + len(self.values)) if at is None else at
         # the errors of differentiated velocities have a common cause, and would pass for one of a number
         blind = np.array([differentiated(fit.problem.system, clip.log) for clip in fit.problem.clips])
         self._loose = np.where(blind, BLIND, 1.0)[:, : fit.slopes.first.mean.shape[1]]
         self.slopes = self._alone() if slopes is None else slopes
-        self.posterior, self._found = self._posterior()
+        self.posterior, self._found, self._step = self._posterior()
 
     @property
     def sources(self) -> list[Source]:
@@ -237,7 +246,7 @@ class _Nuisances:
         first = len(self.changes)
         changes = [self.changes[i] for i in rows if i < first]
         values = [self.values[i - first] for i in rows if i >= first]
-        return _Nuisances(self.fit, changes, values, self.slopes[:, rows])
+        return _Nuisances(self.fit, changes, values, self.slopes[:, rows], self._at[rows])
 
     def followed(self) -> _Nuisances:
         """Slopes from samples of one sd, accompanied by what z and the first states do along with each."""
@@ -245,8 +254,33 @@ class _Nuisances:
         moves = self.posterior[2][:, first:]
         gain = self._loose[..., None] * self._found.nuisance_gain
         turns = gain[..., :d] @ moves + gain[..., d + first :]
-        slopes = self._sampled(moves, turns, 1.0)
-        return _Nuisances(self.fit, self.changes, self.values, self._with_changes(slopes))
+        slopes = self._with_changes(self._sampled(moves, turns, 1.0))
+        return _Nuisances(self.fit, self.changes, self.values, slopes, self._at)
+
+    def moved(self) -> _Nuisances:
+        """Linearised again where z, first states and all of them fit best, if they fit better there."""
+        fit, first, d = self.fit, len(self.changes), len(self.fit.z)
+        grows = np.array([*(False for _ in self.changes), *(value.grows for value in self.values)])
+        at = np.where(grows, np.maximum(self.posterior[1], 0.0), self.posterior[1])
+        z = self.problem.system.space.clip(fit.z + self._step[:d])
+        step = np.concatenate((z - fit.z, at - self._at))
+        means = fit.slopes.first.mean, self._loose * self._found.first(step[None])[0]
+        places = np.stack((np.concatenate((fit.z, self._at[first:])), np.concatenate((z, at[first:]))))
+        cost = self._cost
+        there = cost.residuals(places, np.stack(means) if means[0].shape[1] else None)
+        misfit = objective(cost, there, np.stack(means) / self._loose, fit.times, fit.weight)
+        if not misfit[1] < misfit[0]:
+            return self
+        rest = np.einsum("k,ckr->cr", at[:first] - self._at[:first], self.slopes[:, :first])
+        slopes = replace(
+            fit.slopes,
+            residual=there.flat[1] + rest,
+            centre=there.flat[1] + rest,
+            first=replace(fit.slopes.first, mean=means[1]),
+            completed=fit.slopes.completed & there.completed[1],
+        )
+        best = replace(fit, slopes=slopes, z=z)
+        return _Nuisances(best, self.changes, self.values, self.slopes, at).followed()
 
     def _alone(self) -> FloatArray:
         """Slopes from small samples, and alone; where contacts jitter, of one sd."""
@@ -269,20 +303,24 @@ class _Nuisances:
         fit, k = self.fit, len(self.values)
         if not k:
             return np.zeros((len(fit.weight), 0, fit.slopes.residual.shape[1]))
-        system = with_assumed(self.problem.system, self.values)
-        cost = fit.slopes.cost.upon(self.problem.engine.upon(system.model, system.edits), system)
         down = np.diag([-float(not value.grows) for value in self.values])
         steps = size * np.concatenate((np.eye(k), down))
-        z = np.concatenate((fit.z + steps @ moves.T, steps), axis=1)
+        z = np.concatenate((fit.z + steps @ moves.T, self._at[len(self.changes) :] + steps), axis=1)
         first = fit.slopes.first.mean + np.einsum("pk,cxk->pcx", steps, turns)
-        residuals = cost.residuals(z, first if first.shape[2] else None)
+        residuals = self._cost.residuals(z, first if first.shape[2] else None)
         change = (residuals.flat[:k] - residuals.flat[k:]) / (size * (1.0 - down.diagonal()))[:, None, None]
         change = change.swapaxes(0, 1)
         gz, gx = np.split(fit.slopes.gain, [len(fit.z)], axis=1)
         return change - np.einsum("dk,cdr->ckr", moves, gz) - np.einsum("cxk,cxr->ckr", turns, gx)
 
-    def _posterior(self) -> tuple[tuple[FloatArray, FloatArray, FloatArray], Information]:
-        """Covariance S (K, K), mean m (K,), and how z follows r, A (d, K); and the joint information."""
+    @cached_property
+    def _cost(self) -> MatchingCost:
+        """The cost with the numbers of the model as further unknowns."""
+        system = with_assumed(self.problem.system, self.values)
+        return self.fit.slopes.cost.upon(self.problem.engine.upon(system.model, system.edits), system)
+
+    def _posterior(self) -> tuple[tuple[FloatArray, FloatArray, FloatArray], Information, FloatArray]:
+        """Covariance S (K, K), mean m (K,), how z follows r, A (d, K); joint information; and the step."""
         slopes, d = self.fit.slopes, len(self.fit.z)
         gz, gx = np.split(slopes.gain, [d], axis=1)
         gain = np.concatenate((gz, self.slopes, self._loose[..., None] * gx), axis=1)
@@ -290,10 +328,10 @@ class _Nuisances:
         found = information(replace(slopes, gain=gain, first=first))
         prior = np.eye(d + self.slopes.shape[1])
         prior[:d, :d] = self.problem.system.space.loose_precision
-        away = np.concatenate((self.fit.z, np.zeros(self.slopes.shape[1])))
+        away = np.concatenate((self.fit.z, self._at))
         step, precision = gauss_newton_step(*found.summed(self.fit.weight), prior, away)
         moves = -sealed(np.linalg.solve(precision[:d, :d], precision[:d, d:]))
-        return (sealed(np.linalg.inv(precision)[d:, d:]), step[d:], moves), found
+        return (sealed(np.linalg.inv(precision)[d:, d:]), self._at + step[d:], moves), found, step
 
 
 def _against(

@@ -286,7 +286,7 @@ def test_commands_that_act_late_are_found_and_the_interval_holds(caplog: pytest.
     assert held(found)
     (text,) = (line for line in caplog.messages if "speak against commands that act at once" in line)
     wanted = re.search(r"want \+([\d.]+) ms \((\d+) sd\)", text)
-    assert wanted and abs(float(wanted[1]) - 6.0) < 2.0 * float(wanted[1]) / int(wanted[2]), "two of its sds"
+    assert wanted and abs(float(wanted[1]) - 6.0) < 0.5 and int(wanted[2]) > 3
 
 
 @pytest.mark.parametrize(("late", "blamed"), [(0, False), (2, True)])  # 4 ms are two steps
