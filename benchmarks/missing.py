@@ -268,11 +268,15 @@ def _clip(trial: Trial) -> str:
 
 def _coupling(trial: Trial) -> str:
     joint, other = trial.robot.joints[:2]
-    size, row = _size(trial, joint, 0.5), int(trial.model.joint(other).dofadr[0])
+    driven = len(trial.robot.sizes) > 1
+    size = _size(trial, joint, 0.5 if driven else 0.05)
+    row = int(trial.model.joint(other).dofadr[0])
     own = int(trial.model.joint(joint).dofadr[0])
 
     def act(data: mujoco.MjData) -> None:
         data.qfrc_applied[own] += size * data.qpos[row]
+        if not driven:  # a spring between the two: what nothing drives feels what it does
+            data.qfrc_applied[row] += size * data.qpos[own]
 
     trial.forces.append(act)
     return joint
@@ -303,6 +307,9 @@ FAULTS: Mapping[str, tuple[Callable[[Trial], str], tuple[str, ...], Callable[[Ro
     "cogging": (_joint_force(0.3, lambda q, v, t: np.sin(12 * q + 0.5)), ("cogging",), _turns),
     "periodic": (_joint_force(0.4, lambda q, v, t: np.sin(2 * np.pi * 1.13 * t)), ("periodic",), None),
 }  # fmt: skip
+
+#: Two of these on one joint are one force: a spring about elsewhere, or another one.
+ONE = {"constant", "spring", "idle actuator"}
 
 
 # -- one trial ---------------------------------------------------------------------------------------------
@@ -376,9 +383,10 @@ def _described(robot: Robot, xml: str) -> dict[str, Any]:
     return {"parameters": parameters, "signals": signals, "settings": settings}
 
 
-def named(found: Missing, fault: str, place: str, first: bool) -> bool:
+def named(found: Missing, faults: Sequence[str], fault: str, place: str, first: bool) -> bool:
     """Whether the first row, or any, names a fault at its place."""
-    kinds = FAULTS[fault][1]
+    one = len(faults) > 1 and {*faults} <= ONE
+    kinds = [kind for each in (faults if one else [fault]) for kind in FAULTS[each][1]]
     rows = found.rows[:1] if first else found.rows
     return any(
         row.kind in kinds and (any(one in row.place for one in place.split(", ")) or "motor" in row.place)
@@ -416,8 +424,8 @@ def trial(number: int) -> dict[str, Any]:
     return {
         "robot": robot, "faults": faults, "places": places, "reach": reach,
         "cpu_seconds": time.process_time() - began,
-        "first": [named(found, f, p, True) for f, p in zip(faults, places, strict=True)],
-        "any": [named(found, f, p, False) for f, p in zip(faults, places, strict=True)],
+        "first": [named(found, faults, f, p, True) for f, p in zip(faults, places, strict=True)],
+        "any": [named(found, faults, f, p, False) for f, p in zip(faults, places, strict=True)],
         "rows": [f"{row.kind} {row.place} {row.share:.0%}" for row in found.rows],
         "texts": [row.text for row in found.rows], "rivals": [row.rivals for row in found.rows],
         "start": found.start, "left": found.left, "untested": found.untested,

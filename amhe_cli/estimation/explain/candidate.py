@@ -167,6 +167,14 @@ class CauseMaker:
         motion = self.motion
         return np.concatenate([np.gradient(values[s], motion.period, axis=0) for s in motion.stretches])
 
+    def later(self, values: FloatArray, seconds: float) -> FloatArray:
+        """Values (n, ...) as they were some time before."""
+        motion, found = self.motion, np.empty_like(values)
+        for s in motion.stretches:
+            time = motion.time[s]
+            found[s] = np.stack([np.interp(time - seconds, time, one) for one in values[s].T], axis=-1)
+        return found
+
     def wider(self, cell: tuple[str, int, int], value: float) -> dict[str, Any]:
         """The parameter that sets a number, with a prior about another value of it."""
         parameter, now = self.set[cell], self.now(*cell)
@@ -202,9 +210,9 @@ def says(text: str, sign: float = 1.0) -> Words:
     return words
 
 
-def times(what: str, of: str) -> Words:
-    """A factor in words, of a coefficient that is what it has beyond one."""
-    return lambda c, sd: f"{what} {number(1.0 + c[0], sd[0])} {of}"
+def times(what: str, of: str, sign: float = 1.0) -> Words:
+    """A factor in words, of a coefficient that is, with a sign, what it has beyond one."""
+    return lambda c, sd: f"{what} {number(1.0 + sign * c[0], sd[0])} {of}"
 
 
 def believed(parameter: Parameter, value: float) -> dict[str, Any]:

@@ -28,6 +28,8 @@ from amhe_cli.system.model.elements import commanded, driven_joint, inputs_of
 
 #: Quantiles of the speed that a servo's target may not exceed.
 _FAST = (0.8, 0.9, 0.95, 0.99)
+#: Delays of commands that are tried [s]: between them, the difference that one makes grows with it.
+_LATE = tuple(np.geomspace(0.003, 0.1, 8))
 #: Arrays of numbers that are inertia.
 _INERT = {"body_mass", "body_inertia", "body_ipos", "dof_armature"}
 
@@ -48,19 +50,18 @@ def drive_causes(maker: CauseMaker) -> Iterator[Cause]:
             continue
         servo = np.abs(by[:, a] - maker.commands[:, a]).max() > 0.0
         if servo and not _gain_is_free(maker, a):
-            words = times(f"{name} gives", "of what the model says")
-            yield Cause("gain", name, dofs, values, words, against, lambda c, sd, n=name: _gain(n))
+            words = times(f"{name} gives", "of what the model says", -1.0)
+            yield Cause("gain", name, dofs, -values, words, against, lambda c, sd, n=name: _gain(n), 1.0)
         words = times(f"the command of {name} acts", "times as the model says")
         yield Cause("command", name, *maker.spread(maker.commands[None, :, a]), words, against)
         yield from _inside(maker, a)
-    if (total := maker.commands.sum(axis=1)).any():
-        dofs, values = maker.spread(maker.change(total)[None])
-        prompt = maker.system.edits.prompt
+    for late in _LATE if (total := maker.commands.sum(axis=1)).any() else ():
+        dofs, values = maker.spread((total - maker.later(total, late))[None] / late)
         yield Cause(
             "delay", "commands", dofs, values,
             lambda c, sd: f"commands act {number(-1e3 * c[0], 1e3 * sd[0])} ms later",
             partial(_of, "change of the command's force", values[0, :, dofs[0]]),
-            lambda c, sd: _delay(float(-c[0])) if c[0] < 0.0 and prompt else {},
+            lambda c, sd: _delay(float(-c[0])) if c[0] < 0.0 and maker.system.edits.prompt else {},
             np.inf if maker.system.edits.late else 0.0,
         )  # fmt: skip
 

@@ -24,7 +24,7 @@ from amhe_cli.system.system import System
 TRIED, TURNS, SHORT = 2, 3, 0.05
 #: Kinds of which several are tried at each place, as one more number decides.
 SEARCHED = {"stribeck", "force limit", "speed limit", "contact", "cogging", "periodic", "coupling",
-            "servo limit", "slew limit"}  # fmt: skip
+            "servo limit", "slew limit", "delay"}  # fmt: skip
 #: Share that makes another look at the log as it is needless.
 CLEAR = 0.95
 #: What is left of two logs put right that are alike, at most a factor.
@@ -100,6 +100,7 @@ def _forced(
             len(c.force) + (c.kind in SEARCHED),
             c.most,
             c.least,
+            (c.kind, c.place),
         )
         for c in candidates
     ]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -58,9 +60,8 @@ def joint_causes(maker: CauseMaker) -> Iterator[Cause]:
         yield from _friction(maker, j)
         yield from _limits(maker, j, forces=not effort)
         yield from _repeating(maker, j)
-        for other in hinges:
-            if other is not j:
-                yield from _coupling(maker, j, other)
+    for j, other in permutations(hinges, 2):
+        yield from _coupling(maker, j, other)
 
 
 def _scaled(c: FloatArray, sd: FloatArray) -> str:
@@ -247,9 +248,21 @@ def _peaks(maker: CauseMaker, j: MeasuredDof) -> FloatArray:
 
 
 def _coupling(maker: CauseMaker, j: MeasuredDof, other: MeasuredDof) -> Iterator[Cause]:
-    """A force that comes with another joint's motion."""
-    for what, values in (("position", other.q), ("speed", other.v), ("acceleration", other.a)):
-        words = says(f"# times the {what} of {other.name}")
+    """A force that comes with another joint's motion: between the two, or from one that is driven.
+
+    A joint that nothing drives moves as others make it. A force from it that it does not feel itself is no
+    force, and would explain all that they do.
+    """
+    moved = {"position": (other.q, j.q), "speed": (other.v, j.v), "acceleration": (other.a, j.a)}
+    for what, (values, own) in moved.items():
         rest = [np.ones_like(values)] if what == "position" else []
-        made = maker.on(j, "coupling", [values, *rest], words)
-        yield replace(made, against=lambda what=what: maker.drawn(other, what))
+        against = partial(maker.drawn, other, what)
+        if j.dof < other.dof:
+            both = np.zeros((1 + 2 * len(rest), len(values), maker.model.nv))
+            both[0, :, j.dof], both[0, :, other.dof] = values, own
+            both[1:, :, [j.dof, other.dof]] = np.eye(2)[: len(both) - 1, None]
+            words = says(f"a force between them, # times the {what} of the other")
+            yield Cause("coupling", f"{j.name}, {other.name}", *maker.spread(both), words, against)
+        if what != "acceleration" and maker.commands[..., other.dof].any():
+            made = maker.on(j, "coupling", [values, *rest], says(f"# times the {what} of {other.name}"))
+            yield replace(made, against=against)

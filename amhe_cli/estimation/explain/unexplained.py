@@ -18,7 +18,7 @@ from amhe_cli.system.system import System
 #: A parameter's step for its slope, in its prior sd.
 _STEP = 1e-3
 #: Speeds below this share of their rms are about zero.
-_STILL = 0.05
+_STILL = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
