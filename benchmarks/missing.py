@@ -1,7 +1,7 @@
 """Does `explain` name what a model lacks, or what is wrong with a log?
 
     python benchmarks/missing.py [--seeds 3] [--jobs 2] [--systems swing] [--faults spring,delay] [--pairs]
-                                 [--identify] [--repair] [--verbose]
+                                 [--every 1] [--identify] [--repair] [--verbose]
 
 Faults are put into five simulated robots, whose positions have noise: one at a time, or with `--pairs` two.
 A user's model lacks them, and its masses, damping or friction are unknown. The first row must name a fault
@@ -539,6 +539,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--systems", default=",".join(ROBOTS))
     parser.add_argument("--faults", default=",".join([*FAULTS, "none"]))
+    parser.add_argument("--every", type=int, default=1, help="each of so many trials only")
     parser.add_argument("--pairs", action="store_true", help="two faults at a time")
     parser.add_argument("--identify", action="store_true", help="identify first")
     parser.add_argument("--repair", action="store_true", help="identify, and repair what a model can have")
@@ -553,7 +554,7 @@ def main() -> None:
             for index, (robot, faults) in enumerate(TRIALS)
             if robot in given.systems.split(",") and faults and {*faults} <= {*wanted} & STRUCTURES.keys()
         ]
-        show_repairs(over_seeds("missing-repair", repaired, numbers, given.jobs))
+        show_repairs(over_seeds("missing-repair", repaired, numbers[:: given.every], given.jobs))
         return
     numbers = [
         (seed * (len(TRIALS) + len(PAIRS)) + offset + index) * 2 + given.identify
@@ -561,7 +562,7 @@ def main() -> None:
         for index, (robot, faults) in enumerate(trials)
         if robot in given.systems.split(",") and all(f in wanted for f in faults or ("none",))
     ]
-    done = over_seeds("missing", trial, numbers, given.jobs)
+    done = over_seeds("missing", trial, numbers[:: given.every], given.jobs)
     report(done, given.pairs, given.verbose)
 
 
