@@ -279,7 +279,7 @@ class _Nuisances:
             first=replace(fit.slopes.first, mean=means[1]),
             completed=fit.slopes.completed & there.completed[1],
         )
-        best = replace(fit, slopes=slopes, z=z)
+        best = replace(fit, slopes=slopes, finding=replace(fit.finding, z=z))
         return _Nuisances(best, self.changes, self.values, self.slopes, at).followed()
 
     def _alone(self) -> FloatArray:
