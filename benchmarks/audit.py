@@ -4,7 +4,8 @@
 
 A robot's own numbers are drawn from what its data sheets leave open. Its file has those of the data sheets,
 but for 1 to 4 that are spoilt: a mass times 0.5, 2 or 3, a damping times 10, no armature, a centre of mass
-5 cm off, a gain times 0.3. Other names are those of the MuJoCo Menagerie, which is downloaded.
+5 cm off, a gain times 0.3. Other robots are paths of MJCF files, without free joints, or names of the MuJoCo
+Menagerie, which is downloaded: encoders and measured torques of all joints, whose efforts are matched.
 
 arm3      three position servos, encoders and commands; the motion is matched
 pendulum  two torque motors, encoders and commands; the motion is matched
@@ -27,7 +28,6 @@ import mujoco
 import numpy as np
 from common import PROJECT, over_seeds, show
 from effort import TORQUE, arm
-from effort import motion as motion_of_arm
 
 from amhe_cli.audit.audit import audit
 from amhe_cli.audit.claims import Claim, claims_of
@@ -40,6 +40,8 @@ from amhe_cli.logs import read_log
 
 #: Noise of encoders [rad], delay of commands [s], rows of a log per second.
 NOISE, LATE, HZ = 3e-4, 0.008, 100
+#: Noise of measured torques, as a share of what the motion needs.
+SHARE = 0.01
 #: A number can be told where the truth is so many sd away, of the log and the data sheet together.
 TOLD = 4.0
 FILES = {
@@ -54,9 +56,21 @@ def spec_of(robot: str) -> mujoco.MjSpec:
         return arm()
     if robot in FILES:
         return mujoco.MjSpec.from_file(str(FILES[robot]))
+    if robot.endswith(".xml"):
+        return mujoco.MjSpec.from_file(robot)
     from amhe_cli.init.sources import menagerie_model
 
     return mujoco.MjSpec.from_file(str(menagerie_model(robot)))
+
+
+def moved_at(rng: np.random.Generator, t: FloatArray, joints: int) -> list[FloatArray]:
+    """Positions, velocities and accelerations (T, joints): sums of five sines of 0.1 to 0.9 Hz."""
+    w = 2.0 * np.pi * np.array([0.1, 0.25, 0.4, 0.6, 0.9])[:, None, None]
+    phase = rng.uniform(0.0, 2.0 * np.pi, (5, 1, joints))
+    size = rng.uniform(0.3, 1.0, (5, 1, joints)) / (w / w[0]) ** 0.8
+    return [
+        (0.7 * size * w**k * np.sin(w * t[:, None] + phase + k * np.pi / 2)).sum(axis=0) for k in range(3)
+    ]
 
 
 def recorded(
@@ -65,11 +79,12 @@ def recorded(
     """A table: names of the columns, and rows."""
     times = np.arange(0.0, seconds, 1.0 / HZ)
     joints = [truth.joint(j).name for j in range(truth.njnt)]
-    if robot == "torque7":
-        moved = motion_of_arm(rng, times)
+    if robot not in FILES:
+        moved = moved_at(rng, times, truth.nv)
         tau = forces_along(truth, *moved).needed + truth.dof_frictionloss * np.sign(moved[1])
         position = moved[0] + NOISE * rng.standard_normal(tau.shape)
-        effort = tau + 0.3 * TORQUE * rng.standard_normal(tau.shape)
+        noise = 0.3 * TORQUE if robot == "torque7" else SHARE * np.sqrt((tau**2).mean(axis=0))
+        effort = tau + noise * rng.standard_normal(tau.shape)
         return [f"{kind}_{j}" for kind in ("position", "effort") for j in joints], np.column_stack(
             (times, position, effort)
         )
@@ -220,8 +235,10 @@ def main() -> None:
     rows, every = [], []
     for robot in options.robots:
         one = functools.partial(trial, robot=robot, seconds=options.seconds)
-        some = over_seeds(f"audit-{robot}-{options.seconds:g}", one, range(options.seeds), options.jobs)
-        rows.append(row(robot, some))
+        some = over_seeds(
+            f"audit-{Path(robot).stem}-{options.seconds:g}", one, range(options.seeds), options.jobs
+        )
+        rows.append(row(Path(robot).stem, some))
         every += some
     rows.append(row("all", every))
     show(

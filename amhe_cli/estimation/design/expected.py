@@ -28,8 +28,10 @@ from amhe_cli.estimation.uncertainty.ledger import Ledger
 from amhe_cli.estimation.uncertainty.verdicts import Evidence, verdicts
 from amhe_cli.system.system import System
 
-#: Clips that are looked at, and iterations of the search that lead near the estimate.
-CLIPS, ITERATIONS = 8, 6
+#: Clips that are looked at, of many at least so many that one linearisation takes this many steps; and
+#: iterations of the search that lead near the estimate. Numbers of the model that are no parameters act
+#: otherwise in each clip: of eight, their share of an error scattered by half.
+CLIPS, FEWEST, STEPS, ITERATIONS = 12, 6, 200_000, 6
 #: Linearisations of all clips that an identification takes, half of them its search: those of the examples.
 _LINEARISATIONS = 17.0
 
@@ -69,8 +71,12 @@ def expected(system: System, logs: Sequence[Log], *, threads: int = 1, seed: int
     if not clips:
         raise EstimationError("no clip of these logs can be used: too short, motionless, or across gaps")
     engine = open_engine(system, threads=threads)
-    few = tuple(evenly(clips, CLIPS))
-    problem = Problem(system, pool, engine, seed, only=few, threads=threads)
+    problem = Problem(system, pool, engine, seed, only=tuple(evenly(clips, CLIPS)), threads=threads)
+    steps = problem.linearisation * max(clip.length for clip in problem.clips)
+    if steps > STEPS and len(problem.clips) > FEWEST:
+        kept = max(FEWEST, len(problem.clips) * STEPS // steps)
+        problem = problem.part(np.linspace(0, len(problem.clips) - 1, kept).round().astype(int))
+    few = problem.clips
     share = (1.0 - settings.held_out) * min(len(clips), settings.most) / len(few)
     state, pace = search.restart(problem, np.zeros(len(system.space))), 0.0
     while problem.active.any() and not state.done and state.number < ITERATIONS:
