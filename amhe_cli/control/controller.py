@@ -227,10 +227,12 @@ class Controller:
     def _scores(self, x: FloatArray, terms: dict[str, FloatArray], completed: BoolArray) -> Scores:
         """Scores of plans (n, d) by the terms of their rollouts (n k, H), of which some completed (n, k)."""
         knots, _ = self._sampler.split(x)
-        means = {name: term.mean(axis=-1).reshape(completed.shape) for name, term in terms.items()}
+        means = {name: term.mean(axis=-1) for name, term in terms.items()}
         cost = np.sum(list(means.values()), axis=0)
-        cost = np.sort(np.where(completed & np.isfinite(cost), cost, np.inf))
-        worst = max(1, round(self._settings.risk * cost.shape[1]))
-        every = {name: term.mean(axis=1) for name, term in means.items()}
-        every["knots"] = self._behaviour.knot_weight * (knots**2).sum(axis=-1).mean(axis=-1)
-        return Scores(cost[:, -worst:].mean(axis=1) + every["knots"], every)
+        cost = np.where(completed.ravel() & np.isfinite(cost), cost, np.inf)
+        if completed.shape[1] > 1:
+            worst = max(1, round(self._settings.risk * completed.shape[1]))
+            cost = np.sort(cost.reshape(completed.shape))[:, -worst:].mean(axis=1)
+            means = {name: term.reshape(completed.shape).mean(axis=1) for name, term in means.items()}
+        means["knots"] = self._behaviour.knot_weight * (knots**2).sum(axis=-1).mean(axis=-1)
+        return Scores(cost + means["knots"], means)

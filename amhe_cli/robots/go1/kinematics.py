@@ -54,7 +54,7 @@ def feet(joints: FloatArray) -> FloatArray:
     Returns:
         Centres of the feet in the trunk's frame [m], shape (..., 4, 3).
     """
-    at = _posture(joints)
+    at = posture(joints)
     return HIPS + np.stack(
         (at.ahead, at.c * _ASIDE - at.s * at.down, at.s * _ASIDE + at.c * at.down), axis=-1
     )
@@ -82,47 +82,8 @@ def joint_angles(feet: FloatArray) -> FloatArray:
     return np.clip(_by_leg(hip, thigh, calf), LOWER, UPPER)
 
 
-def joint_rates(joints: FloatArray, velocity: FloatArray) -> FloatArray:
-    """Joint velocities that give the feet these velocities: J^-1 v by hand, several times as fast as LAPACK.
-
-    Args:
-        joints: Angles [rad], knees bent, shape (..., 12).
-        velocity: Velocities of the feet in the trunk's frame [m/s], shape (..., 4, 3).
-
-    Returns:
-        Rates [rad/s], shape (..., 12).
-    """
-    at = _posture(joints)
-    ahead, across, along = at.in_plane(velocity)
-    hip = -across / at.down
-    along = along - _ASIDE * hip
-    determinant = at.ahead * at.calf_down - at.down * at.calf_ahead
-    thigh = (-at.calf_ahead * ahead - at.calf_down * along) / determinant
-    calf = (at.ahead * ahead + at.down * along) / determinant
-    return _by_leg(hip, thigh, calf)
-
-
-def holding_torques(joints: FloatArray, ground_forces: FloatArray) -> FloatArray:
-    """Joint torques with which legs of no weight answer forces of the ground, -J^T f.
-
-    Args:
-        joints: Angles [rad], shape (..., 12).
-        ground_forces: Forces of the ground on the feet, in the trunk's frame [N], shape (..., 4, 3).
-
-    Returns:
-        Torques [N m], shape (..., 12).
-    """
-    at = _posture(joints)
-    ahead, across, along = at.in_plane(ground_forces)
-    return _by_leg(
-        at.down * across - _ASIDE * along,
-        at.ahead * along - at.down * ahead,
-        at.calf_ahead * along - at.calf_down * ahead,
-    )
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class _Posture:
+class Posture:
     """Legs in their own planes, which the hips turn about x by an angle of cosine c, sine s; each (..., 4).
 
     `ahead` and `down` lead from thigh joint to foot [m] (down is negative), `calf_...` from knee to foot.
@@ -135,19 +96,53 @@ class _Posture:
     calf_ahead: FloatArray
     calf_down: FloatArray
 
-    def in_plane(self, vectors: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def rates(self, velocity: FloatArray) -> FloatArray:
+        """Joint velocities that give the feet these velocities: J^-1 v by hand, faster than LAPACK.
+
+        Args:
+            velocity: Velocities of the feet in the trunk's frame [m/s], shape (..., 4, 3); knees are bent.
+
+        Returns:
+            Rates [rad/s], shape (..., 12).
+        """
+        ahead, across, along = self._in_plane(velocity)
+        hip = -across / self.down
+        along = along - _ASIDE * hip
+        determinant = self.ahead * self.calf_down - self.down * self.calf_ahead
+        thigh = (-self.calf_ahead * ahead - self.calf_down * along) / determinant
+        calf = (self.ahead * ahead + self.down * along) / determinant
+        return _by_leg(hip, thigh, calf)
+
+    def holding_torques(self, ground_forces: FloatArray) -> FloatArray:
+        """Joint torques with which legs of no weight answer forces of the ground, -J^T f.
+
+        Args:
+            ground_forces: Forces of the ground on the feet, in the trunk's frame [N], shape (..., 4, 3).
+
+        Returns:
+            Torques [N m], shape (..., 12).
+        """
+        ahead, across, along = self._in_plane(ground_forces)
+        return _by_leg(
+            self.down * across - _ASIDE * along,
+            self.ahead * along - self.down * ahead,
+            self.calf_ahead * along - self.calf_down * ahead,
+        )
+
+    def _in_plane(self, vectors: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Components of vectors (..., 4, 3) ahead, across the leg's plane, and upwards in it."""
         x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
         return x, self.c * y + self.s * z, self.c * z - self.s * y
 
 
-def _posture(joints: FloatArray) -> _Posture:
+def posture(joints: FloatArray) -> Posture:
+    """The legs at joint angles [rad], shape (..., 12)."""
     q = np.asarray(joints, dtype=np.float64)
     q = q.reshape(*q.shape[:-1], 4, 3)
     hip, thigh, knee = q[..., 0], q[..., 1], q[..., 1] + q[..., 2]
     calf_ahead, calf_down = -LINK * np.sin(knee), -LINK * np.cos(knee)
     ahead, down = calf_ahead - LINK * np.sin(thigh), calf_down - LINK * np.cos(thigh)
-    return _Posture(np.cos(hip), np.sin(hip), ahead, down, calf_ahead, calf_down)
+    return Posture(np.cos(hip), np.sin(hip), ahead, down, calf_ahead, calf_down)
 
 
 def _by_leg(hip: FloatArray, thigh: FloatArray, calf: FloatArray) -> FloatArray:

@@ -208,11 +208,11 @@ def walking(index: int, slip: FloatArray) -> Samples:
     """Joints that move the feet so that a level trunk glides ahead; `slip` of each foot ahead, (4,) [m/s]."""
     measured = cycle(index, replace(TRUNK, orientation=np.array([1.0, 0, 0, 0]), rate=np.zeros(3)))
     feet = -TRUNK.velocity + np.outer(slip, [1.0, 0.0, 0.0])
-    rates = legs.joint_rates(legs.HOME, feet)
+    rates = legs.posture(legs.HOME).rates(feet)
     for _ in range(30):  # the centre of a foot that rolls moves with the calf's turning
         hips, bends = rates.reshape(4, 3)[:, 0], rates.reshape(4, 3)[:, 1:].sum(axis=1)
         calves = np.stack((hips, bends, np.zeros(4)), axis=1)
-        rates = legs.joint_rates(legs.HOME, feet - np.cross(calves, [0.0, 0.0, -legs.FOOT_RADIUS]))
+        rates = legs.posture(legs.HOME).rates(feet - np.cross(calves, [0.0, 0.0, -legs.FOOT_RADIUS]))
     return with_values(
         measured, joints__position=np.tile(legs.HOME, (10, 1)), joints__velocity=np.tile(rates, (10, 1))
     )

@@ -203,13 +203,13 @@ def moved(joints: np.ndarray, rates: np.ndarray) -> np.ndarray:
 
 def test_rates_move_the_feet_as_asked(joints: np.ndarray) -> None:
     velocity = np.random.default_rng(1).normal(size=(50, 4, 3))
-    np.testing.assert_allclose(moved(joints, legs.joint_rates(joints, velocity)), velocity, atol=1e-7)
+    np.testing.assert_allclose(moved(joints, legs.posture(joints).rates(velocity)), velocity, atol=1e-7)
 
 
 def test_holding_torques_do_no_work_against_the_ground(joints: np.ndarray) -> None:
     """Virtual work: joint torques and ground forces cancel for every small motion of the legs."""
     rng = np.random.default_rng(2)
     forces, motion = rng.normal(size=(50, 4, 3)), rng.normal(size=(50, 12))
-    work = (legs.holding_torques(joints, forces) * motion).sum(-1)
+    work = (legs.posture(joints).holding_torques(forces) * motion).sum(-1)
     work += (forces * moved(joints, motion)).sum((-1, -2))
     np.testing.assert_allclose(work, 0.0, atol=1e-7)

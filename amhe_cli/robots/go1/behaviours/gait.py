@@ -24,9 +24,8 @@ from amhe_cli.robots.go1.kinematics import (
     HIP_OFFSET,
     HIPS,
     SIDE,
-    holding_torques,
     joint_angles,
-    joint_rates,
+    posture,
 )
 from amhe_cli.robots.go1.state import GRAVITY
 
@@ -156,7 +155,8 @@ def leg_targets(
 ) -> LegTargets:
     """Joints and joint targets for feet that move so, while the ground acts so on them; all (..., 4, 3)."""
     joints = joint_angles(feet)
-    torques = holding_torques(joints, forces) + np.tile(gait.damping, 4) * joint_rates(joints, velocity)
+    at = posture(joints)
+    torques = at.holding_torques(forces) + np.array(4 * gait.damping) * at.rates(velocity)
     return LegTargets(joints + gait.zeros + torques / gait.kp, joints, feet, forces, contact)
 
 
