@@ -23,7 +23,7 @@ from rich.table import Table
 from amhe_cli.cli.settings import parse_set
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.engine.rollout import Engine, Rollouts
-from amhe_cli.estimation.online.replay import ReplayProblem, open_replay, replay
+from amhe_cli.estimation.online.replay import Replay, open_replay
 from amhe_cli.logs import read_log
 from amhe_cli.robots.go1.run import RunOptions, open_run, recorder_of
 from amhe_cli.system.system import System
@@ -98,13 +98,13 @@ def _log(folder: Path, task: str, seed: int) -> Path:
 def _replayed(log: Path, settings: tuple[str, ...]) -> tuple[FloatArray, FloatArray, float, float, float]:
     """Relative errors (n, 3), whether intervals held (n, 3), rollouts, CPU time [ms], that over bare."""
     system = System.load("go1_push", parse_set(settings))
-    problem = open_replay(system, read_log(log, system))
-    watch = Stopwatch(problem.engine)
+    done = open_replay(system, read_log(log, system))
+    watch = Stopwatch(done.engine)
     begun = time.process_time()
-    estimates = list(replay(problem.estimator, problem.windows, problem.begun))
+    estimates = done.run().estimates
     spent = time.process_time() - begun
-    truth = np.array([problem.truth[name] for name in problem.system.space.names]).T
-    late = _settled(problem, truth)
+    truth = np.array([done.truth[name] for name in done.system.space.names]).T
+    late = _settled(done, truth)
     theta = np.array([e.theta for e in estimates])
     inside = np.array([(e.lower < t) & (t < e.upper) for e, t in zip(estimates, truth, strict=True)])
     ratio = theta / truth
@@ -114,9 +114,9 @@ def _replayed(log: Path, settings: tuple[str, ...]) -> tuple[FloatArray, FloatAr
     return errors[late], inside[late], rollouts, 1e3 * spent / len(estimates), spent / watch.spent
 
 
-def _settled(problem: ReplayProblem, truth: FloatArray) -> np.ndarray:
+def _settled(done: Replay, truth: FloatArray) -> np.ndarray:
     """Estimates that are late enough after the switch, shape (n,)."""
-    times = problem.begun + np.array([w.stop * w.log.dt for w in problem.windows])
+    times = done.times
     switch = int(np.flatnonzero(np.any(np.diff(truth, axis=0) != 0.0, axis=1))[0])
     return times > times[switch + 1] + SETTLED
 

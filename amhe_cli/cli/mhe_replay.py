@@ -13,7 +13,7 @@ from amhe_cli.cli.session import Session, stopping
 if TYPE_CHECKING:
     from amhe_cli.cli.progress import Shown
     from amhe_cli.estimation.online.horizon import Estimate
-    from amhe_cli.estimation.online.replay import ReplayProblem
+    from amhe_cli.estimation.online.replay import Replay
 
 #: Parameters that a line has room for.
 _SHOWN = 4
@@ -50,7 +50,6 @@ def mhe_replay(session: Session, given: Given) -> None:
         paced,
         predictions,
         replay_fits,
-        replayed,
     )
     from amhe_cli.report.replay import print_replay, write_replay
     from amhe_cli.report.replay_files import replay_record
@@ -66,39 +65,39 @@ def mhe_replay(session: Session, given: Given) -> None:
         opened = paced(opened, System.load(opened.folder, warn=False).settings.mhe)
     opened, known = opened.starting_from(belief, **given.pick("fix", "only", "belief_anyway"))
     (recorded,) = inputs.read(opened, [path])
-    problem = open_replay(
+    replay = open_replay(
         opened, recorded, belief=known, seed=given.seed, threads=given.threads, kind=given.engine,
         begun=inputs.start or 0.0, paced=follows,
     )  # fmt: skip
     with stopping(session) as stopped:
-        with progress(session, "mhe-replay", partial(_shown, problem)) as show:
-            done = replayed(problem, show, stopped)
-        caution(done)
-        session.interrupted = done.interrupted
-        predicted, fits = predictions(done, problem.engine), replay_fits(done, problem.engine)
+        with progress(session, "mhe-replay", partial(_shown, replay)) as show:
+            replay.run(show, stopped)
+        caution(replay)
+        session.interrupted = replay.interrupted
+        predicted, fits = predictions(replay), replay_fits(replay)
         hashed = [path, *([belief] if belief else [])]
-        method = done.system.settings.mhe.method
-        origin = estimator_provenance(session.command_line, given.seed, method, done.system, hashed)
+        method = replay.system.settings.mhe.method
+        origin = estimator_provenance(session.command_line, given.seed, method, replay.system, hashed)
         record = session.record(
-            **replay_record(done), seed=given.seed, out=str(folder), provenance=origin,
-            inputs=inputs_record(done.system, [recorded]),
+            **replay_record(replay), seed=given.seed, out=str(folder), provenance=origin,
+            inputs=inputs_record(replay.system, [recorded]),
         )  # fmt: skip
-        write_replay(folder, done, predicted, fits, record, origin, given.force)
+        write_replay(folder, replay, predicted, fits, record, origin, given.force)
     if session.gave(record):
         return
-    if problem.paced:
-        mhe = problem.system.settings.mhe
+    if replay.paced:
+        mhe = replay.system.settings.mhe
         session.console().print(f"windows of {mhe.window:g} s, updates every {mhe.update_period:g} s")
     print_replay(record, folder, session.console())
 
 
-def _shown(problem: ReplayProblem, estimate: Estimate) -> Shown:
+def _shown(replay: Replay, estimate: Estimate) -> Shown:
     """'5.9 s: box_mass 4.15 ± 0.24, floor_friction 0.459 ± 0.021; jump'."""
     from amhe_cli.report.numbers import with_sd
 
     rows = list(zip(estimate.belief.names, estimate.theta, estimate.sd, strict=True))
     texts = [f"{name} {with_sd(float(value), float(sd))}" for name, value, sd in rows[:_SHOWN]]
     more = ", ..." if len(rows) > _SHOWN else ""
-    ends = [problem.begun + window.stop * window.log.dt for window in problem.windows]
+    last = replay.steps[-1]
     state = f"{estimate.time:.1f} s: {', '.join(texts)}{more}; {estimate.mark}"
-    return state, estimate.time - problem.begun, ends[-1] - problem.begun + 1e-9
+    return state, estimate.time - replay.begun, last.stop * last.log.dt + 1e-9

@@ -13,7 +13,7 @@ from amhe_cli.core.errors import ConfigError, EstimationError
 from amhe_cli.core.log import Samples
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon
-from amhe_cli.estimation.online.replay import open_replay, replayed
+from amhe_cli.estimation.online.replay import open_replay
 from amhe_cli.estimation.online.tracker import BEFORE
 from amhe_cli.estimation.online.workers import InStep, News, Trouble
 from amhe_cli.live import watch as live_watch
@@ -70,8 +70,7 @@ def test_it_finds_what_a_replay_of_the_log_finds(pendulum, pendulum_log, monkeyp
     source = played(pendulum_log, pendulum)
     found = [one for one in watch(pendulum, source, Quick(pendulum)) if isinstance(one, Estimate)]
     monkeypatch.undo()
-    problem = open_replay(pendulum, read_log(pendulum_log, pendulum))
-    done = replayed(problem, lambda one: None, lambda: False)
+    done = open_replay(pendulum, read_log(pendulum_log, pendulum)).run()
     assert len(found) >= len(done.estimates) - 3
     last, again = found[-1], done.estimates[-1]
     assert np.all(np.abs(last.theta - again.theta) < last.sd + again.sd)

@@ -6,7 +6,7 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -35,54 +35,69 @@ logger = logging.getLogger(__name__)
 _AT_ONCE = 16
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ReplayProblem:
-    """All that a replay starts from.
+@dataclass(eq=False)
+class Replay:
+    """The estimator over a log: the windows that it is to see, and its estimates after those it has seen.
 
     Args:
         system: The system whose parameters are estimated.
         engine: Engine of the rollouts.
-        estimator: The estimator before its first window.
-        start: Belief before the first window.
-        windows: The window of each update.
-        truth: Parameter -> true value at each window's end according to the log, shape (windows,); NaN where
-            the log has none.
+        estimator: The estimator; it goes on from window to window.
+        start: Prior of the first window.
+        steps: The window of each update.
+        true_values: Parameter -> true value at each window's end according to the log, shape (steps,); NaN
+            where the log has none.
         begun: Time of row 0, from the start of the file [s].
         paced: Whether the update period follows from the window; see `paced`.
+        estimates: Estimates so far; their times count from the log's start.
+        seconds: Duration of the replay [s].
     """
 
     system: System
     engine: Engine
     estimator: MovingHorizon
     start: Gaussian
-    windows: Sequence[Window]
-    truth: Mapping[str, FloatArray]
+    steps: Sequence[Window]
+    true_values: Mapping[str, FloatArray]
     begun: float
     paced: bool = False
+    estimates: list[Estimate] = field(default_factory=list)
+    seconds: float = 0.0
 
+    def run(
+        self,
+        on_estimate: Callable[[Estimate], None] = lambda estimate: None,
+        stopped: Callable[[], bool] = lambda: False,
+    ) -> Replay:
+        """Replay all of the log, or as much as there is until `stopped`; at least one window.
 
-@dataclass(frozen=True, eq=False)
-class Replay:
-    """Result of a replay.
+        Args:
+            on_estimate: Called with each estimate.
+            stopped: Called after each estimate; returns whether to stop.
+        """
+        begun = time.perf_counter()
+        for estimate in replay(self.estimator, self.steps, self.begun):
+            self.estimates.append(estimate)
+            on_estimate(estimate)
+            if stopped():
+                break
+        self.seconds = time.perf_counter() - begun
+        return self
 
-    Args:
-        system: The system whose parameters were estimated.
-        start: Prior of the first window.
-        windows: The window of each estimate.
-        estimates: One or more; their times count from the log's start.
-        truth: Parameter -> true value at each estimate according to the log, shape (n,); NaN where the log
-            has none.
-        seconds: Duration of the replay [s].
-        interrupted: Whether it was stopped before the last window.
-    """
+    @property
+    def windows(self) -> Sequence[Window]:
+        """The window of each estimate."""
+        return self.steps[: len(self.estimates)]
 
-    system: System
-    start: Gaussian
-    windows: Sequence[Window]
-    estimates: Sequence[Estimate]
-    truth: Mapping[str, FloatArray]
-    seconds: float
-    interrupted: bool
+    @property
+    def truth(self) -> dict[str, FloatArray]:
+        """Parameter -> true value at each estimate, shape (n,)."""
+        return {name: values[: len(self.estimates)] for name, values in self.true_values.items()}
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether it was stopped before the last window."""
+        return len(self.estimates) < len(self.steps)
 
     @property
     def times(self) -> FloatArray:
@@ -141,7 +156,7 @@ def open_replay(
     kind: str = "cpu",
     begun: float = 0.0,
     paced: bool = False,
-) -> ReplayProblem:
+) -> Replay:
     """A replay of a log that is ready to run.
 
     Args:
@@ -159,13 +174,13 @@ def open_replay(
     """
     steps = windows(system, log)
     engine = open_engine(system, threads=threads, kind=kind)
-    return ReplayProblem(
+    return Replay(
         system=system,
         engine=engine,
         estimator=MovingHorizon(system, engine, np.random.default_rng(seed), belief),
         start=prior_of(system.space, belief, system.settings.mhe.start_sd),
-        windows=steps,
-        truth=_truth(system, log, steps),
+        steps=steps,
+        true_values=_truth(system, log, steps),
         begun=np.ceil(begun / log.dt - 1e-6) * log.dt,  # reading begins at a step of the clock
         paced=paced,
     )
@@ -216,35 +231,6 @@ def replay(estimator: MovingHorizon, steps: Sequence[Window], begun: float = 0.0
         yield estimator.update(window, begun + window.stop * window.log.dt)
 
 
-def replayed(
-    problem: ReplayProblem, on_estimate: Callable[[Estimate], None], stopped: Callable[[], bool]
-) -> Replay:
-    """All of a log, or as much as there is until `stopped`; at least one window.
-
-    Args:
-        problem: What to replay; its estimator is at its end afterwards.
-        on_estimate: Called with each estimate.
-        stopped: Called after each estimate; returns whether to stop.
-    """
-    estimates: list[Estimate] = []
-    begun = time.perf_counter()
-    for estimate in replay(problem.estimator, problem.windows, problem.begun):
-        estimates.append(estimate)
-        on_estimate(estimate)
-        if stopped():
-            break
-    count = len(estimates)
-    return Replay(
-        system=problem.system,
-        start=problem.start,
-        windows=problem.windows[:count],
-        estimates=estimates,
-        truth={name: values[:count] for name, values in problem.truth.items()},
-        seconds=time.perf_counter() - begun,
-        interrupted=count < len(problem.windows),
-    )
-
-
 def caution(done: Replay) -> None:
     """Log warnings that a reader of the estimates must know."""
     source, count, marks = done.windows[0].log.source, len(done.windows), done.marks
@@ -284,7 +270,7 @@ class Prediction:
     values: Mapping[str, FloatArray]
 
 
-def predictions(done: Replay, engine: Engine) -> list[Prediction | None]:
+def predictions(done: Replay) -> list[Prediction | None]:
     """Roll each window out with the estimate after it, and keep the part that is new in it.
 
     Returns:
@@ -296,20 +282,20 @@ def predictions(done: Replay, engine: Engine) -> list[Prediction | None]:
     newest = round(system.settings.mhe.update_period / done.windows[0].log.dt)
     found: list[Prediction | None] = [None] * len(done.windows)
     if system.match == "effort":
-        return [_efforts(done, engine, i, newest) for i in range(len(done.windows))]
+        return [_efforts(done, i, newest) for i in range(len(done.windows))]
     known = [i for i, window in enumerate(done.windows) if usable(system, window)]
     for start in range(0, len(known), _AT_ONCE):
         some = known[start : start + _AT_ONCE]
-        ends = _ends(system, engine, [done.windows[i] for i in some], theta[some], newest)
+        ends = _ends(system, done.engine, [done.windows[i] for i in some], theta[some], newest)
         for i, end in zip(some, ends, strict=True):
             found[i] = end
     return found
 
 
-def _efforts(done: Replay, engine: Engine, i: int, newest: int) -> Prediction | None:
+def _efforts(done: Replay, i: int, newest: int) -> Prediction | None:
     """Efforts along the newest part of a window's motion; NaN of joints that were not compared."""
     window, system = done.windows[i], done.system
-    if (cost := cost_of(system, window, engine)) is None:
+    if (cost := cost_of(system, window, done.engine)) is None:
         return None
     (own,), observed = cost.clips.windows, cost.clips.observed
     predicted = cost.predict(system.space.z_of(done.estimates[i].theta)[None]).values
@@ -365,7 +351,7 @@ def _ends(
     ]
 
 
-def replay_fits(done: Replay, engine: Engine) -> tuple[Fit, ...]:
+def replay_fits(done: Replay) -> tuple[Fit, ...]:
     """Measured against predicted in the used windows of least, median and largest misfit, by channel.
 
     The initial prediction is from the belief before the replay, the identified one from the estimate after
@@ -376,12 +362,12 @@ def replay_fits(done: Replay, engine: Engine) -> tuple[Fit, ...]:
     if not order.size:
         return ()
     picks = order[np.unique(np.linspace(0, order.size - 1, SHOWN).round().astype(int))]
-    return tuple(fit for i in picks for fit in _fits(done, engine, int(i)))
+    return tuple(fit for i in picks for fit in _fits(done, int(i)))
 
 
-def _fits(done: Replay, engine: Engine, i: int) -> Iterator[Fit]:
+def _fits(done: Replay, i: int) -> Iterator[Fit]:
     window, estimate, system = done.windows[i], done.estimates[i], done.system
-    cost = cost_of(system, window, engine)
+    cost = cost_of(system, window, done.engine)
     assert cost is not None, "the window was used"
     predicted = cost.predict(np.stack((done.start.z, system.space.z_of(estimate.theta))))
     end = done.times[i]

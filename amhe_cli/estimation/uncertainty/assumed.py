@@ -58,7 +58,7 @@ def assumed(fit: FinalFit) -> tuple[Term, tuple[str, ...]]:
     exact = [value.setting for value in values if value.sd == 0.0]
     if problem.settings.identify.assumed.time_step == 0.0:
         exact.append("time_step")
-    changes = list(_changes(_Neighbourhood(fit)))
+    changes = list(_changes(fit))
     values = [v for v in values if v.sd > 0.0]
     moves = changes if problem.rough else []  # of jitter no regression says anything: the whole move counts
     term = _regressed(fit, [] if problem.rough else changes, values)
@@ -104,60 +104,50 @@ class _Change:
         return allowed(self.rise) * self.z
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Neighbourhood:
-    """The estimate, and the estimates that changed residuals lead to."""
+def _changed(fit: FinalFit, cost: MatchingCost) -> tuple[_Change, float]:
+    """What the engine of `cost` changes of an estimate, and by which share the misfit rises."""
+    slopes, none = fit.slopes, np.zeros_like(fit.z)
 
-    fit: FinalFit
+    def after(cost: MatchingCost, step: FloatArray, first: FloatArray) -> tuple[Residuals, float]:
+        """Residuals after a step (d,) of the estimate, first states (c, nx) moved along; and the misfit."""
+        z = fit.space.clip((fit.z + step)[None])
+        residuals = cost.residuals(z, first[None] if first.shape[1] else None)
+        return residuals, float(objective(cost, residuals, first[None], fit.times, fit.weight)[0])
 
-    def residuals(self, cost: MatchingCost, step: FloatArray, first: FloatArray) -> Residuals:
-        """Residuals after a step (d,) of the estimate, first states (c, nx) moved along."""
-        z = cost.system.space.clip((self.fit.z + step)[None])
-        return cost.residuals(z, first[None] if first.shape[1] else None)
-
-    def misfit(self, cost: MatchingCost, residuals: Residuals, first: FloatArray) -> float:
-        """Weighted squared residuals, and first-state errors (c, nx)."""
-        return float(objective(cost, residuals, first[None], self.fit.times, self.fit.weight)[0])
-
-    def changed(self, cost: MatchingCost) -> tuple[_Change, float]:
-        """What the engine of `cost` changes, and by which share the misfit rises."""
-        fit, slopes = self.fit, self.fit.slopes
-        there = self.residuals(cost, np.zeros_like(fit.z), slopes.first.mean)
-        both = slopes.completed & there.completed[0]
-        residual = slopes.residual + there.flat[0] - slopes.centre
-        found = information(replace(slopes, residual=residual, completed=both))
-        kept = (fit.information, fit.weight), (found, fit.weight * both)
-        steps = [posterior(fit.z, *each, fit.space.loose_precision).step for each in kept]
-        firsts = [one.first(step[None])[0] for one, step in zip((fit.information, found), steps, strict=True)]
-        costs = slopes.cost, cost
-        here, there = (self.residuals(*each) for each in zip(costs, steps, firsts, strict=True))
-        least, most = (self.misfit(*each) for each in zip(costs, (here, there), firsts, strict=True))
-        z = steps[1] - steps[0]
-        gz, gx = np.split(slopes.gain, [len(z)], axis=1)
-        along = np.einsum("d,cdr->cr", z, gz) + np.einsum("cx,cxr->cr", firsts[1] - firsts[0], gx)
-        done = here.completed[0] & there.completed[0]
-        slope = np.where(done[:, None], there.flat[0] - here.flat[0] - along, 0.0)
-        return _Change(Source(""), z, slope, most - least), (most - least) / max(least, 1e-300)
+    there, _ = after(cost, none, slopes.first.mean)
+    both = slopes.completed & there.completed[0]
+    residual = slopes.residual + there.flat[0] - slopes.centre
+    told = information(replace(slopes, residual=residual, completed=both))
+    pairs = (fit.information, fit.weight), (told, fit.weight * both)
+    steps = [posterior(fit.z, *pair, fit.space.loose_precision).step for pair in pairs]
+    firsts = [one.first(step[None])[0] for (one, _), step in zip(pairs, steps, strict=True)]
+    (here, least), (there, most) = map(after, (slopes.cost, cost), steps, firsts)
+    z = steps[1] - steps[0]
+    gz, gx = np.split(slopes.gain, [len(z)], axis=1)
+    along = np.einsum("d,cdr->cr", z, gz) + np.einsum("cx,cxr->cr", firsts[1] - firsts[0], gx)
+    done = here.completed[0] & there.completed[0]
+    slope = np.where(done[:, None], there.flat[0] - here.flat[0] - along, 0.0)
+    return _Change(Source(""), z, slope, most - least), (most - least) / max(least, 1e-300)
 
 
-def _changes(about: _Neighbourhood) -> Iterator[_Change]:
+def _changes(fit: FinalFit) -> Iterator[_Change]:
     """Numerical choices of the model, each by one standard deviation."""
-    problem, cost = about.fit.problem, about.fit.slopes.cost
+    problem, cost = fit.problem, fit.slopes.cost
     settings = problem.settings.identify.assumed
     if problem.system.match == "effort":
         return  # nothing is integrated, and nothing touches
     variants = contact_variants(problem.engine, problem.system.unedited) if settings.contacts else {}
     softness = Source("the softness of contacts", amount=2.0**settings.contacts, unit="times")
     for engine in variants.values():  # a factor of two to either side: each has half of the variance
-        yield about.changed(cost.upon(engine))[0].times(settings.contacts / np.sqrt(2.0), softness)
+        yield _changed(fit, cost.upon(engine))[0].times(settings.contacts / np.sqrt(2.0), softness)
     option = problem.system.model.opt
     finer = finer_solver(problem.engine, problem.system.unedited) if settings.solver else None
     if finer is not None:
         source = Source("the solver", f"{option.iterations} iterations")
-        yield about.changed(cost.upon(finer))[0].times(settings.solver, source)
+        yield _changed(fit, cost.upon(finer))[0].times(settings.solver, source)
     if settings.time_step:
         half_step, order = finer_step(problem.engine, problem.system.unedited)
-        change, rise = about.changed(cost.at_half_steps(half_step))
+        change, rise = _changed(fit, cost.at_half_steps(half_step))
         step = 1000.0 * option.timestep
         if rise < -EXPLAINS:
             logger.warning(
@@ -354,16 +344,16 @@ def _against(
             continue
         others = [j for j in map(int, np.argsort(-worth)) if j != i and worth[j] > AS_WELL * worth[i]]
         named |= {i, *others}
-        rivals = "".join(f", or {_changed(sources[j], wanted[j])} of {sources[j]}" for j in others)
+        rivals = "".join(f", or {_in_words(sources[j], wanted[j])} of {sources[j]}" for j in others)
         whose, one = ("them", "one of them") if others else ("it", "it")
         yield (
-            f"the logs speak against {sources[i]}: they want {_changed(sources[i], wanted[i])} "
+            f"the logs speak against {sources[i]}: they want {_in_words(sources[i], wanted[i])} "
             f"({np.sqrt(worth[i]):.0f} sd){rivals}; measure {whose}, or make {one} a parameter; something "
             f"else that the model lacks, such as the zero of an encoder, may act alike"
         )
 
 
-def _changed(source: Source, wanted: float) -> str:
+def _in_words(source: Source, wanted: float) -> str:
     """'+16 %', or '+1.6 times what was assumed' of what has no size of its own."""
     return source.times(wanted, "+") or f"{wanted:+.2g} times what was assumed"
 

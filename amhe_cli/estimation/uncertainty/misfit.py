@@ -7,6 +7,7 @@ import logging
 import numpy as np
 
 from amhe_cli.core.errors import and_more
+from amhe_cli.estimation.core.agreement import SURPRISE
 from amhe_cli.estimation.core.information import channel_times, split
 from amhe_cli.estimation.offline.clips import clip_name
 from amhe_cli.estimation.offline.search import SearchState
@@ -26,8 +27,6 @@ UNSETTLED, MOVING = 2.0, 1.0
 STALLED = 3
 #: Residuals of this many noise sd are asked what they lack.
 ASKED = 2.0
-#: Residuals of this many noise sd are a wrong model.
-MISFIT = 3.0
 #: Residuals of this many times the declared noise make every number the model's, unless they are noise:
 #: their autocorrelation time is below so many samples.
 MISSED, WHITE = 5.0, 2.0
@@ -57,7 +56,7 @@ def report_unsettled(fit: FinalFit) -> None:
 def report_misfit(fit: FinalFit) -> None:
     """Warn of channels that the model does not explain."""
     for key, (scale, white) in misfits(fit).items():
-        if scale > MISFIT:
+        if scale > SURPRISE:
             wrong = "" if white else f"{_remedy(fit.problem.system, key)}; or "
             logger.warning(
                 f"the model misses {key} by {scale:.1f} times its declared noise: {wrong}"
@@ -90,7 +89,7 @@ def _scatter(observed: Observed) -> float:
 
 def blamed(fit: FinalFit) -> dict[str, tuple[str, ...]]:
     """Where the model misses the logs: parameters that several joints share, and what to do about each."""
-    missed = [(scale, key) for key, (scale, white) in misfits(fit).items() if scale > MISFIT and not white]
+    missed = [(scale, key) for key, (scale, white) in misfits(fit).items() if scale > SURPRISE and not white]
     if not missed:
         return {}
     scale, key = max(missed)

@@ -23,8 +23,10 @@ from amhe_cli.estimation.core.result import ParameterResult, Reason
 from amhe_cli.estimation.uncertainty.ledger import Ledger, Source, interval, size
 from amhe_cli.estimation.uncertainty.minimum import Rival
 
-#: Shrinkage below which the logs say next to nothing, and from which they determine.
-NOTHING, DETERMINED = 0.3, 0.8
+#: Share of a prior's sd that is next to nothing, whether the logs take it away or move the value by it.
+NOTHING = 0.3
+#: Share of a prior's sd that is gone where the logs determine a value.
+DETERMINED = 0.8
 #: Factor on the sd of what is known badly, under which a value must stay determined to be called identified:
 #: data sheets and priors are optimistic, and how far parts of the logs scatter is known from two or three.
 DOUBT = 2.0
@@ -32,10 +34,6 @@ DOUBT = 2.0
 TOGETHER = 0.9
 #: Share of a variance from which a source of it is given as a reason.
 COUNTS = 0.25
-#: Share of a variance from which an unfinished search is one: any search stops within a part of an sd.
-UNFINISHED = 0.5
-#: Prior sd from its prior up to which a value that the logs hardly narrow down is called the prior.
-AT_PRIOR = 0.3
 #: Terms that no number which somebody gives would remove: the logs or the model contradict themselves.
 CONTRADICTIONS = ("parts", "curvature")
 
@@ -158,9 +156,7 @@ def _reasons(space: ParameterSpace, evidence: Evidence, i: int) -> list[Reason]:
     found += sorted(terms, key=lambda reason: -reason.size)
     if evidence.ledger.sd[i] > 1.0 - NOTHING and not any(reason.kind == "minimum" for reason in found):
         away = abs(float(evidence.z[i]))
-        value = (
-            "the value is your prior" if away <= AT_PRIOR else f"it is {away:.1f} prior sd from your prior"
-        )
+        value = "the value is your prior" if away <= NOTHING else f"it is {away:.1f} prior sd from your prior"
         found.append(Reason("open", (name,), away, f"the logs hardly narrow it down: {value}"))
     if values := evidence.means.get(name, ()):
         found.append(Reason("together", values, 1.0, f"the common mean of {len(values)} values"))
@@ -185,7 +181,7 @@ def _of_terms(space: ParameterSpace, evidence: Evidence, i: int, total: float) -
     found, name, ledger = [], space.names[i], evidence.ledger
     for term in ledger.terms:
         share = float((term.errors[i] ** 2).sum()) / total
-        if share <= (UNFINISHED if term.kind == "search" else COUNTS):
+        if share <= COUNTS:
             continue
         if term.kind == "parts":
             _, source = term.of(i)[0]

@@ -10,7 +10,7 @@ from amhe_cli.core.log import Log, sampled
 from amhe_cli.engine.inverse import forces_along
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon
-from amhe_cli.estimation.online.replay import open_replay, predictions, replayed
+from amhe_cli.estimation.online.replay import open_replay, predictions
 from amhe_cli.estimation.online.tracker import Tracker
 from amhe_cli.estimation.online.workers import InStep
 from amhe_cli.system.system import System
@@ -65,9 +65,7 @@ def gripping(arm: System) -> Log:
 
 @pytest.mark.medium
 def test_a_payload_is_found_in_a_second_and_a_grip_is_a_jump(arm: System, gripping: Log) -> None:
-    problem = open_replay(arm, gripping)
-
-    done = replayed(problem, lambda estimate: None, lambda: False)
+    done = open_replay(arm, gripping).run()
 
     time, mass, lower, upper = (done.column(name).reshape(-1) for name in ("time", "theta", "lower", "upper"))
     true = np.where(time < GRIP, LIGHT, HEAVY)
@@ -77,7 +75,7 @@ def test_a_payload_is_found_in_a_second_and_a_grip_is_a_jump(arm: System, grippi
     assert mass[-1] == pytest.approx(HEAVY, rel=0.05)
     settled = (time < GRIP) | (time > GRIP + 1.0)
     assert ((lower < true) & (true < upper))[settled].mean() >= 0.75
-    predicted = predictions(done, problem.engine)[-1]
+    predicted = predictions(done)[-1]
     assert predicted is not None
     measured = gripping["torque.effort"].values[predicted.rows]
     assert np.nanstd(predicted.values["torque.effort"] - measured) < 0.25

@@ -40,8 +40,8 @@ def test_it_finds_the_truth(cart, drive, method: str, within: float) -> None:
 
 def test_a_log_without_a_file_is_replayed(cart, drive) -> None:
     problem = open_replay(cart, drive(2.0))
-    assert problem.truth == {}
-    assert next(replay(problem.estimator, problem.windows)).updated
+    assert problem.true_values == {}
+    assert next(replay(problem.estimator, problem.steps)).updated
 
 
 @pytest.mark.medium

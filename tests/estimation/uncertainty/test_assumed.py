@@ -6,7 +6,6 @@ import re
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -323,15 +322,16 @@ def sliding(noise: float, executor: Executor | None = None) -> FinalFit:
     return final_fit(problem, search.restart(problem, z))
 
 
-def test_numerical_choices_are_rows_of_one_sd_each() -> None:
+def test_numerical_choices_are_rows_of_one_sd_each(monkeypatch: pytest.MonkeyPatch) -> None:
     """Contacts: half a factor of two, from twice as soft and twice as hard; the step: all the way to zero."""
-    fit = sliding(1e-2)
     values: Iterator[float] = iter([4.0, 1.0, 0.5, 7.0])  # softer, harder, solved for longer, half the step
-    blank: Any = SimpleNamespace(
-        fit=fit,
-        changed=lambda cost: (module._Change(Source(""), v := np.full(2, next(values)), v[None]), 0.0),
-    )
-    rows = list(module._changes(blank))
+
+    def changed(fit: FinalFit, cost: Any) -> tuple[Any, float]:
+        move = np.full(2, next(values))
+        return module._Change(Source(""), move, move[None]), 0.0
+
+    monkeypatch.setattr(module, "_changed", changed)
+    rows = list(module._changes(sliding(1e-2)))
     assert [change.source.name for change in rows] == [
         "the softness of contacts",
         "the softness of contacts",
