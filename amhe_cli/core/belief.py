@@ -203,9 +203,13 @@ def belief_of(
 
 
 def held_by(belief: Belief) -> dict[str, dict[str, float]]:
-    """Settings of a system whose parameters are held at a belief's values, and how well these are known."""
+    """Settings of a system whose parameters are held at a belief's values, and how well these are known.
+
+    What was fixed when the belief was made is held there, too.
+    """
     numbers = zip(belief.names, belief.estimate.tolist(), belief.sd.tolist(), strict=True)
-    return {name: {"held": value, "held_sd": sd} for name, value, sd in numbers}
+    found = {name: {"held": value, "held_sd": sd} for name, value, sd in numbers}
+    return found | {name: {"held": value} for name, value in belief.fixed.items()}
 
 
 def completed(belief: Belief, system: Described) -> Belief:

@@ -11,6 +11,7 @@ import pytest
 from amhe_cli.control.controller import Plan
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.belief import belief_of, held_by
 from amhe_cli.core.errors import ConfigError, SimulationError
 from amhe_cli.core.log import Samples
 from amhe_cli.estimation.design.probe import ProbeOptions
@@ -313,6 +314,16 @@ def test_what_is_known_of_the_robot_is_in_gait_planner_and_estimator() -> None:
     dofs = layout(system.model).joints_v
     assert system.model.dof_frictionloss[dofs][2] == pytest.approx(0.8), "the estimator's model"
     assert not without_dry_friction(system).model.dof_frictionloss[dofs].any(), "the planner's"
+
+
+def test_a_robot_that_was_weighed_is_held_at_its_weight() -> None:
+    robot = system_of(RunOptions("t1", settings={"unknowns": ["robot"]}), find_task("t1"))
+    chosen, _ = robot.starting_from(None, fix={"trunk_load": 1.2})
+    found = belief_of(chosen, np.zeros(len(chosen.space)), 0.01 * np.eye(len(chosen.space)))
+    system = system_of(RunOptions("t1", settings={"parameters": held_by(found)}), find_task("t1"))
+    assert system.edits.held["trunk_load"] == (1.2, 0.0)
+    assert system.edits.held["motor_gain"].sd > 0.0
+    assert gait_of(system).weight == pytest.approx(Gait().weight + 1.2 * 9.81, abs=0.01)
 
 
 def test_plans_are_played_earlier_by_what_commands_take() -> None:
