@@ -64,14 +64,15 @@ class Card:
     Args:
         blueprint: What all worlds share.
         device: Warp's name of the device.
-        coarse: Few sizes of worlds, for jobs of any size: a graph of a new size takes as long as a job.
+        coarse: Sizes of worlds are powers of two, for jobs of any size: a graph of a new size takes long.
 
     Raises:
         SimulationError: mujoco-warp cannot simulate the model.
     """
 
     def __init__(self, blueprint: Blueprint, device: str, *, coarse: bool = False) -> None:
-        self.blueprint, self._device, self._sizes = blueprint, device, 2 if coarse else 6
+        self.blueprint, self._device = blueprint, device
+        self._parts, self._most = (1, 8) if coarse else (6, KEPT)
         with refusals():
             _check_supported(blueprint, device)
         #: Buffers of a world; they grow.
@@ -144,11 +145,11 @@ class Card:
         Up to some thousand worlds a step takes as long as that of one.
         """
         least = FEWEST if self.memory else 16
-        grain = max(least, 2 ** (max(count - 1, 1).bit_length() - self._sizes))
+        grain = max(least, 2 ** (max(count - 1, 1).bit_length() - self._parts))
         size = -(-count // grain) * grain
         worlds = self._kept.pop(size, None)
         if worlds is None:
-            while len(self._kept) >= KEPT:
+            while len(self._kept) >= self._most:
                 del self._kept[next(iter(self._kept))]
             worlds = Worlds(self.blueprint, size, self.room, self._device, loaded=self._loaded)
             self._loaded = True
