@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -21,6 +22,8 @@ from amhe_cli.engine.gpu import kernels
 from amhe_cli.engine.gpu.blueprint import Blueprint, Room
 from amhe_cli.engine.gpu.job import Job
 from amhe_cli.system.parameters.gear_friction import UPDATE
+
+logger = logging.getLogger(__name__)
 
 #: Blocks of the input vector, in the order of mjtState: bit, array of mjw.Data.
 INPUTS = (
@@ -54,23 +57,28 @@ def load_together(device: Any, launches: Callable[[], object]) -> None:
 
     Warp loads a module when a kernel of it is first launched, one after the other, which takes a minute where
     all must be compiled. So the launches are made once without effect, to see what they need: warp launches
-    nothing from a module that it could not load.
+    nothing from a module that it could not load. What is missed here, or fails, is loaded at its launch.
     """
     kind: Any = type(wp.get_module(__name__))
     load, needed = kind.load, {}
 
-    def note(module: Any, device: Any, block_dim: int | None = None) -> None:
+    def note(module: Any, device: Any, block_dim: int | None = None) -> Any:
+        if block_dim is None:  # it is asked how many threads suit a kernel, which takes the kernel itself
+            return load(module, device)
         needed[module, block_dim] = None
+        return None
 
     kind.load = note
     try:
         with wp.ScopedDevice(device), wp.ScopedCapture():
             launches()
+    except Exception as error:
+        logger.debug("not all kernels can be loaded side by side: %s", error)
     finally:
         kind.load = load
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        for loaded in [threads.submit(load, module, device, block_dim) for module, block_dim in needed]:
-            loaded.result()
+        for module, block_dim in needed:
+            threads.submit(load, module, device, block_dim)
 
 
 class _Launch:
