@@ -316,8 +316,9 @@ def test_a_servo_that_acts_inside_a_limit_is_named_with_its_speed() -> None:
         (lambda q, tau: tau, "", ""),
         (lambda q, tau: tau + [2.0, 0.0] * (q - 0.1), "spring", "a"),
         (lambda q, tau: tau * [1.0, -1.0], "torque scale", "b"),
+        (lambda q, tau: np.concatenate((tau[:5], tau[:-5])), "torque delay", "torques"),
     ],
-    ids=["as the model", "spring", "sign"],
+    ids=["as the model", "spring", "sign", "late"],
 )
 def test_what_torques_lack_is_named(
     change: Callable[[FloatArray, FloatArray], FloatArray], kind: str, place: str
@@ -334,3 +335,7 @@ def test_what_torques_lack_is_named(
 
     first = [(row.kind, row.place) for row in found.rows[:1]]
     assert first == ([(kind, place)] if kind else [])
+    if kind == "torque delay":  # five steps of 2 ms
+        assert found.rows[0].text.startswith("its measured torques come ")
+        assert float(found.rows[0].text.split()[4]) == pytest.approx(10.0, rel=0.1)
+        assert found.rows[0].text.endswith("ms later than its motion")

@@ -55,6 +55,8 @@ def joint_causes(maker: CauseMaker) -> Iterator[Cause]:
         yield from _in_time(maker, j)
         if effort:
             yield maker.on(j, "torque scale", [j.given], _scaled, "time")
+    if effort:
+        yield _late_torques(maker)
     for j in hinges:
         yield from _springs(maker, j)
         yield from _friction(maker, j)
@@ -66,6 +68,18 @@ def joint_causes(maker: CauseMaker) -> Iterator[Cause]:
 
 def _scaled(c: FloatArray, sd: FloatArray) -> str:
     return f"its measured torque is {number(1.0 - c[0], sd[0])} times what the motion needs"
+
+
+def _late_torques(maker: CauseMaker) -> Cause:
+    """Measured torques that come later, or earlier, than the measured motion."""
+    dofs, values = maker.spread(maker.change(maker.found.forces.given)[None])
+
+    def words(c: FloatArray, sd: FloatArray) -> str:
+        late = number(1e3 * abs(c[0]), 1e3 * sd[0])
+        return f"its measured torques come {late} ms {'later' if c[0] > 0.0 else 'earlier'} than its motion"
+
+    against = "change of the torque [N m/s]", values[0, :, dofs[0]]
+    return Cause("torque delay", "torques", dofs, values, words, lambda: against)
 
 
 def _numbers(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
