@@ -80,9 +80,10 @@ def recorded(
     times = np.arange(0.0, seconds, 1.0 / HZ)
     joints = [truth.joint(j).name for j in range(truth.njnt)]
     if robot not in FILES:
-        moved = moved_at(rng, times, truth.nv)
-        tau = forces_along(truth, *moved).needed + truth.dof_frictionloss * np.sign(moved[1])
-        position = moved[0] + NOISE * rng.standard_normal(tau.shape)
+        position, speed, acceleration = moved_at(rng, times, truth.nv)
+        needed = forces_along(truth, position, speed, acceleration).needed
+        tau = needed + truth.dof_frictionloss * np.sign(speed)
+        position = position + NOISE * rng.standard_normal(tau.shape)
         noise = 0.3 * TORQUE if robot == "torque7" else SHARE * np.sqrt((tau**2).mean(axis=0))
         effort = tau + noise * rng.standard_normal(tau.shape)
         return [f"{kind}_{j}" for kind in ("position", "effort") for j in joints], np.column_stack(

@@ -31,6 +31,12 @@ if TYPE_CHECKING:
         "contradicted]",
         callback=kinds.listed,
     ),
+    option(
+        "--match motion|effort",
+        "What is compared: the motion under the commands, or the joints' measured torques along it.  "
+        "[default: torques where the log has them and any value explains them]",
+        ("motion", "effort"),
+    ),
     options.where,
     options.work,
     options.tuning,
@@ -91,6 +97,7 @@ def _result(session: Session, folder: Path, vendor: Path) -> None:
 
 def _logs(session: Session, model: Path, given: Given) -> None:
     """Audit a file by logs."""
+    import logging
     from dataclasses import replace
 
     from amhe_cli.audit.audit import audit as run
@@ -98,24 +105,39 @@ def _logs(session: Session, model: Path, given: Given) -> None:
     from amhe_cli.cli.progress import of_search, progress
     from amhe_cli.cli.settings import NONE
     from amhe_cli.estimation.identification import IdentifyOptions
-    from amhe_cli.init.folder import proposed, proposed_as
+    from amhe_cli.init.folder import Proposal, proposed, proposed_as
     from amhe_cli.report.audit import write_audit
 
     folder, logs, inputs = given.reserve(), kinds.each_episode(given.against), given.inputs
-    urdf = urdf_options(model)
-    if inputs.system:
-        proposal = proposed_as(model, replace(inputs, overrides=NONE).open(logs), urdf)
-    else:
-        proposal = proposed(model, logs, inputs.msg_path, urdf, efforts=True)
-    with progress(session, "audit", of_search) as show:
-        found = run(
-            proposal,
-            model.stem,
-            lambda system: inputs.read(system.reading(inputs.topics), logs),
-            IdentifyOptions(**given.pick("seed", "threads", "engine")),
-            inputs.overrides.all,
-            lambda iteration, total: show((iteration, total)),
-        )
+
+    def proposal(efforts: bool) -> Proposal:
+        urdf = urdf_options(model)
+        if not inputs.system:
+            return proposed(model, logs, inputs.msg_path, urdf, efforts=efforts)
+        system = replace(inputs, overrides=NONE).open(logs)
+        return proposed_as(model, system.matching(given.match) if given.match else system, urdf)
+
+    def audited(proposal: Proposal) -> Audit:
+        with progress(session, "audit", of_search) as show:
+            return run(
+                proposal,
+                model.stem,
+                lambda system: inputs.read(system.reading(inputs.topics), logs),
+                IdentifyOptions(**given.pick("seed", "threads", "engine")),
+                inputs.overrides.all,
+                lambda iteration, total: show((iteration, total)),
+            )
+
+    first = proposal(given.match != "motion")
+    found = audited(first)
+    if found.found.unexplained and first.match == "effort" and not (given.match or inputs.system):
+        other = proposal(False)
+        if other.match == "motion":
+            logging.getLogger(__name__).warning(
+                "no value explains what the log has as torques: the motion under the commands is compared "
+                "instead; --match effort keeps to the torques"
+            )
+            found = audited(other)
     record = session.record(out=str(folder), model=str(model))
     write_audit(
         folder, model, logs, found, given.write, record, session.command_line, given.seed, given.force

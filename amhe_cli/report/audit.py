@@ -33,14 +33,16 @@ STYLES = {"contradicted": "red", "agrees": "green", "cannot tell": "dim"}
 
 
 def audit_table(lines: Sequence[Line]) -> Table:
-    """The numbers of a file, and what the log says of them."""
-    rows = []
+    """The numbers of a file, and what the log says of them; a part is named once."""
+    rows, before = [], None
     for line in lines:
+        same, before = (line.verdict, line.of) == before, (line.verdict, line.of)
         wrong, judged = line.verdict == VERDICTS[0], line.verdict != VERDICTS[2]
         says = judged or line.sd < abs(line.file)
         rows.append(
             (
-                line.of, line.what, f"{line.verdict}: {abs(line.t):.1f} sd" if judged else line.verdict,
+                "" if same else line.of, line.what,
+                f"{line.verdict}: {abs(line.t):.1f} sd" if judged else line.verdict,
                 f"{line.file:.4g}", numbers.with_sd(line.log, line.sd) if says else numbers.MISSING,
                 numbers.unit_of(line.unit),
                 numbers.percent(line.weight) if wrong else "",
