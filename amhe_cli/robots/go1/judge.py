@@ -167,8 +167,9 @@ def has_fallen(state: State) -> bool:
 
 
 #: Cycles of free walking are compared with the model from this time on [s], so many of them, and a robot is
-#: another one than its model beyond this distance, in sd of the joints' noise.
-_FREE, _ENOUGH, _MISS = 0.3, 25, 2.5
+#: another one than its model beyond this distance, in sd of the joints' noise, or of the trunk's mean speed
+#: upwards against the expected one [m/s]: that of our own plant is 5 mm/s off.
+_FREE, _ENOUGH, _MISS, _RISE = 0.3, 25, 2.5, 0.005
 
 
 @dataclass(slots=True, eq=False)
@@ -187,6 +188,7 @@ class History:
     _rows: list[dict[str, float]] = field(default_factory=list)
     _last: Cycle | None = None
     _missed: list[FloatArray] = field(default_factory=list)
+    _rising: list[float] = field(default_factory=list)
 
     def add(self, cycle: Cycle) -> dict[str, float]:
         """Take in a cycle; returns its row."""
@@ -208,9 +210,14 @@ class History:
             return
         if cycle.time > _FREE and abs(expected.time - cycle.time) < 1e-6:
             self._missed.append(cycle.estimate.joints - expected.joints)
-        if len(self._missed) == _ENOUGH and self.miss > _MISS:
-            text = f"the joints are {self.miss:.0f} times their noise from where the model expects them"
-            advice = "identify the robot first, with a probe of `task=walk` (docs/tasks.md)"
+            self._rising.append(float(cycle.estimate.trunk.velocity[2] - expected.trunk.velocity[2]))
+        if len(self._missed) == _ENOUGH and max(self.miss, self.sinking) > _MISS:
+            joints = self.miss > _MISS
+            what, far = (
+                ("joints elsewhere", self.miss) if joints else ("trunk to rise otherwise", self.sinking)
+            )
+            text = f"the model expects the {what}, by {far:.0f} times the noise"
+            advice = "weigh and identify the robot first, with a probe of `task=walk` (docs/tasks.md)"
             self._troubles.setdefault(f"{text}: {advice}", []).append(cycle.time)
 
     @property
@@ -219,6 +226,11 @@ class History:
         return (
             float(np.sqrt(np.square(self._missed).mean()) / SensorNoise().joint) if self._missed else np.nan
         )
+
+    @property
+    def sinking(self) -> float:
+        """How much faster the trunk rises or sinks than expected, in sd of its mean; a load shows here."""
+        return abs(float(np.mean(self._rising))) / _RISE if self._rising else np.nan
 
     def _estimated(self, cycle: Cycle) -> dict[str, float]:
         """Interval and time of the newest estimate; {} before the first."""

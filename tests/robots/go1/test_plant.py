@@ -337,14 +337,14 @@ def test_plans_are_played_earlier_by_what_commands_take() -> None:
 
 
 @pytest.mark.medium
-@pytest.mark.parametrize(("plant", "missed"), [("ours", False), ("dry", True)])
+@pytest.mark.parametrize(("plant", "missed"), [("ours", False), ("dry", True), ("loaded", True)])
 def test_a_robot_that_is_another_one_is_noticed_while_it_walks_freely(plant: str, missed: bool) -> None:
     run = open_run(RunOptions("t1", "true", plant=plant, duration=1.0))
     history = History(run.task)
     for cycle in run.episode.cycles():
         history.add(cycle)
     assert bool(history.troubles) == missed
-    assert all("identify the robot first" in trouble for trouble in history.troubles)
+    assert all("weigh and identify the robot first" in trouble for trouble in history.troubles)
 
 
 @pytest.mark.medium
