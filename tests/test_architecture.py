@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -91,18 +92,40 @@ def text_of(module: str) -> str:
     return (PACKAGE / module).read_text(encoding="utf-8")
 
 
+class Content(NamedTuple):
+    """What the tests ask of a text; it is parsed once for all of them."""
+
+    imports: frozenset[str]
+    """Dotted names that it imports anywhere, in function bodies and for type checking too. Names that are
+    taken from `import amhe_cli` are among them, and those that `import_module` is called with."""
+    long: set[str]
+    """Functions of more than 60 lines, without their signatures and docstrings."""
+    classes: list[str]
+    """Public ones."""
+    texts: list[str]
+    """String constants, docstrings left out."""
+
+
 @cache
-def imports_of(text: str) -> frozenset[str]:
-    """Dotted names that a module's text imports anywhere, in function bodies and for type checking too.
+def content_of(text: str) -> Content:
+    nodes = list(ast.walk(ast.parse(text)))
+    documented = [node for node in nodes if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef))]
+    docs = {id(node.body[0].value) for node in documented if node.body and isinstance(node.body[0], ast.Expr)}
+    return Content(
+        frozenset(_imports(nodes)),
+        {node.name for node in nodes if isinstance(node, ast.FunctionDef) and len(lines_of(node)) > 60},
+        [node.name for node in nodes if isinstance(node, ast.ClassDef) and not node.name.startswith("_")],
+        [
+            node.value
+            for node in nodes
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docs
+        ],
+    )
 
-    Names that are taken from `import amhe_cli` are among them, and those that `import_module` is called with.
-    """
-    return frozenset(_imports(ast.parse(text)))
 
-
-def _imports(tree: ast.Module) -> Iterator[str]:
+def _imports(nodes: list[ast.AST]) -> Iterator[str]:
     package = {"amhe_cli"}
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
             package |= {alias.asname for alias in node.names if alias.name == "amhe_cli" and alias.asname}
@@ -116,15 +139,11 @@ def _imports(tree: ast.Module) -> Iterator[str]:
             name = ast.literal_eval(leading(node.args[0]))
             assert not name.startswith("."), "a relative import"
             yield name
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Attribute) and (dotted := dotted_name(node)):
             first, rest = dotted.split(".", 1)
             if first in package:
                 yield f"amhe_cli.{rest}"
-
-
-def name_called(call: ast.Call) -> str | None:
-    return getattr(call.func, "attr", getattr(call.func, "id", None))
 
 
 def dotted_name(node: ast.Attribute) -> str | None:
@@ -143,7 +162,7 @@ def leading(name: ast.expr) -> ast.expr:
 def inside_of(text: str) -> Iterator[list[str]]:
     """Dotted names within the package that a text imports, split; one that it exports counts for its home."""
     names = {f"amhe_cli.{name}": home for name, home in amhe_cli._HOMES.items()}
-    parts = [names.get(name, name).split(".") for name in imports_of(text)]
+    parts = [names.get(name, name).split(".") for name in content_of(text).imports]
     yield from (part[1:] for part in parts if part[0] == "amhe_cli" and len(part) > 1)
 
 
@@ -267,7 +286,7 @@ def test_an_outside_library_is_imported_by_its_own_room(library: str) -> None:
     wrong = [
         module
         for module in ROOMED
-        if library in {name.split(".")[0] for name in imports_of(text_of(module))}
+        if library in {name.split(".")[0] for name in content_of(text_of(module)).imports}
         and room_of(module.split("/")) not in owners
         and module not in owners
     ]
@@ -275,12 +294,7 @@ def test_an_outside_library_is_imported_by_its_own_room(library: str) -> None:
 
 
 def test_functions_stay_short() -> None:
-    long = {
-        (module, node.name)
-        for module in ROOMED
-        for node in ast.walk(ast.parse(text_of(module)))
-        if isinstance(node, ast.FunctionDef) and len(lines_of(node)) > 60
-    }
+    long = {(module, name) for module in ROOMED for name in content_of(text_of(module)).long}
     assert long <= STILL_LONG
 
 
@@ -292,26 +306,11 @@ def lines_of(function: ast.FunctionDef) -> range:
 
 def test_a_class_name_means_one_thing() -> None:
     places: dict[str, list[str]] = {}
-    for module in MODULES:
-        for node in ast.walk(ast.parse(text_of(module))):
-            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
-                places.setdefault(node.name, []).append(module)
+    for module in ROOMED:
+        for name in content_of(text_of(module)).classes:
+            places.setdefault(name, []).append(module)
     places["Path"] = ["pathlib", *places.get("Path", ())]
     assert {name: found for name, found in places.items() if len(found) > 1} == {}
-
-
-def texts_of(module: str) -> Iterator[str]:
-    """String constants of a module, docstrings left out."""
-    tree = ast.parse(text_of(module))
-    docs = {
-        id(node.body[0].value)
-        for node in ast.walk(tree)
-        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef))
-        and isinstance(node.body[0], ast.Expr)
-    }
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docs:
-            yield node.value
 
 
 #: Texts may name the options of a whole command: 'amhe eval --report', 'dask worker ... --nthreads'.
@@ -321,7 +320,8 @@ OF_A_COMMAND = re.compile(r"`?(amhe \w+|dask worker|mavlogdump.py)[^`]*|--nthrea
 def test_the_library_speaks_of_arguments_not_of_options() -> None:
     option = re.compile(r"(^|[\s('\"`])--[a-z]")
     library = [module for module in ROOMED if not module.startswith("cli/")]
-    wrong = [(m, text) for m in library for text in texts_of(m) if option.search(OF_A_COMMAND.sub("", text))]
+    texts = [(module, text) for module in library for text in content_of(text_of(module)).texts]
+    wrong = [(module, text) for module, text in texts if option.search(OF_A_COMMAND.sub("", text))]
     assert not wrong, "write the argument in backquotes; the command line makes an option of it"
 
 

@@ -103,7 +103,6 @@ def test_a_model_needs_no_system_folder(pendulum_log: Path, tmp_path: Path) -> N
 
 
 @pytest.mark.medium
-@pytest.mark.medium
 def test_what_is_wrong_before_the_fit_is_said_first_and_kept(
     pendulum_log: Path, tmp_path: Path, capsys
 ) -> None:
@@ -251,6 +250,7 @@ def test_results_do_not_depend_on_the_threads_of_linear_algebra(tmp_path: Path) 
     for threads in ("1", "2"):
         out = tmp_path / threads
         command = [sys.executable, "-m", "amhe_cli", "identify", str(ROOT / "examples/logs/t1.mcap"), "-q"]
+        command += ["--to", "3"]
         quick = [*QUICK[2:], "--set", "clips.count=1", "--set", "identify.iterations=1", "--max-time", "0.01"]
         subprocess.run(
             [*command, *quick, "--threads", "1", "-o", str(out)],

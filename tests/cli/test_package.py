@@ -175,13 +175,15 @@ def test_the_example_prints_what_the_readme_shows(tmp_path: Path, capsys: pytest
 
 @pytest.mark.slow
 def test_half_of_the_demos_log_identifies_the_box(tmp_path: Path) -> None:
+    """With first states as recorded: as unknowns they take four times as long."""
     out = tmp_path / "out"
-    assert run(["identify", "example:t1", "--to", "7", "-o", str(out), "-q"]) == 0
+    quick = ("--set", "identify.first_state=never", "--set", "identify.profile_points=0")
+    assert run(["identify", "example:t1", "--to", "7", "-o", str(out), "-q", *quick]) == 0
     found = json.loads((out / "result.json").read_text())
     known = {p["name"]: p for p in found["parameters"]}
     assert found["truth"] == {"box_mass": 4.0, "box_inertia_scale": 1.0, "floor_friction": 0.6}
     assert all(known[name]["lower"] < value < known[name]["upper"] for name, value in found["truth"].items())
-    assert known["box_mass"]["shrinkage"] > 0.75 and known["floor_friction"]["shrinkage"] > 0.75
+    assert known["box_mass"]["shrinkage"] > 0.6 and known["floor_friction"]["shrinkage"] > 0.6
     assert found["held_out"]["cost"] < 0.3 * found["held_out"]["initial_cost"]
 
 
