@@ -38,7 +38,8 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 def _with_equations(text: str) -> str:
     """A text without code, its equations as MathML, which browsers render without a script."""
 
-    def shown(display: str) -> Callable[[re.Match[str]], str]:
-        return lambda match: convert(match[1].strip(), display=display)
+    def shown(display: str, around: str = "{}") -> Callable[[re.Match[str]], str]:
+        return lambda match: around.format(convert(match[1].strip(), display=display))
 
-    return _INLINE.sub(shown("inline"), _DISPLAYED.sub(shown("block"), text))
+    block = shown("block", '<div class="equation">{}</div>')
+    return _INLINE.sub(shown("inline"), _DISPLAYED.sub(block, text))

@@ -79,7 +79,11 @@ def compare(session: Session, given: Given) -> None:
 
 def _parted(given: Sequence[str]) -> tuple[list[str], list[Path]]:
     """Systems, and logs that the shell wrote behind `--logs`: what exists and is no system."""
-    logs = [name for name in given if Path(name).exists() and not (Path(name) / "system.yaml").is_file()]
+    from amhe_cli.system.description.folders import bundled_systems  # not at the top: --help needs no YAML
+
+    known = bundled_systems()  # also beside a folder of that name
+    files = [name for name in given if name not in known and Path(name).exists()]
+    logs = [name for name in files if not (Path(name) / "system.yaml").is_file()]
     return [name for name in given if name not in logs], [Path(name) for name in logs]
 
 

@@ -115,9 +115,7 @@ def _page(compared: Compared, record: Mapping[str, Any], provenance: Mapping[str
         ),
         headline=headline if settled else "No model is called better: a search did not end.",
         statements=[
-            Statement(
-                "mixed" if "cannot tell" in text or not settled else "good", f"{text[0].upper()}{text[1:]}."
-            )
+            Statement("mixed" if "cannot tell" in text or not settled else "good", f"{text}.")
             for text in verdicts
         ],
         sections=[

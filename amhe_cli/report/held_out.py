@@ -19,6 +19,10 @@ from amhe_cli.web.plots import Curve, Panel, figure, shown_unit
 _EFFORT = ".effort of "
 
 
+#: Errors that a sentence names.
+_SAID = 3
+
+
 def held_out_statement(held_out: HeldOut | None) -> Iterator[Statement]:
     """What held-out clips say of the values, in a sentence."""
     if held_out is None or held_out.clips == 0:
@@ -39,7 +43,9 @@ def held_out_statement(held_out: HeldOut | None) -> Iterator[Statement]:
         falls |= held_out.fitted_cost < held_out.initial_fitted_cost
     if falls:
         errors = [f"the mean {name} from {before} to {after}" for name, before, after in error_rows(held_out)]
-        yield Statement("good", f"{', '.join([f'On {clips} the cost goes {costs}', *errors])}.")
+        more = f", and {len(errors) - _SAID} more" if len(errors) > _SAID else ""
+        told = ", ".join([f"On {clips} the cost goes {costs}", *errors[:_SAID]])
+        yield Statement("good", f"{told}{more}.", "held-out" if more else "")
     else:
         yield Statement(
             "mixed",

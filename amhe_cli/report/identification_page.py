@@ -147,7 +147,6 @@ def statements(result: Identification) -> list[Statement]:
         *held_out_statement(result.held_out),
         *_better(result.held_out),
         *(Statement("good", f"{text[0].upper()}{text[1:]}.") for text in result.determined[:1]),
-        *(Statement("mixed", f"{text}.") for text in result.determined[1:]),
         *_verdicts(result.lines),
         *(Statement("good", together_text(result, c)) for c in known_together(result)[:MAX_COMBINATIONS]),
         *fixed_statement(result.belief.fixed, result.exact),
@@ -172,12 +171,18 @@ def _unexplained(result: Identification) -> Iterator[Statement]:
         yield Statement("bad", f"{text[0].upper()}{text[1:]}.")
 
 
+#: Sentences about what is taken as known.
+_GIVEN = 3
+
+
 def _verdicts(parameters: Sequence[ParameterResult]) -> Iterator[Statement]:
     """One sentence for each verdict other than 'identified'; the table has the rest."""
     given: dict[str, list[str]] = {}
     for p in parameters:
         if p.verdict == "conditional":
             given.setdefault(p.given, []).append(p.name)
+    if len(given) > _GIVEN:
+        given = {"what the table names with each": [name for names in given.values() for name in names]}
     for what, names in given.items():
         yield Statement("mixed", f"{numbers.some(names)}: determined by the logs if {what}, is right.")
     for verdict, tone in _TONES.items():
@@ -209,6 +214,8 @@ def _divergence(result: Identification) -> Iterator[Statement]:
 
 def _sections(result: Identification, record: Mapping[str, Any], seen: Beside) -> Iterator[Section]:
     yield from parameter_sections(result, record["truth"])
+    if joints := result.determined[1:]:
+        yield Section("Each joint", items=joints)
     if result.fits:
         yield overlay_section(result.fits, seen)
     if doubts := record.get("findings"):

@@ -77,10 +77,12 @@ def test_the_table_fits_a_terminal_of_80_columns_and_cuts_no_number() -> None:
     assert "7.94 (5.24 to 12.70)" in text and "too few clips" in text and "4.55°" in text
 
 
-def test_a_shell_pattern_behind_logs(tmp_path: Path) -> None:
+def test_a_shell_pattern_behind_logs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "system.yaml").touch()
     (tmp_path / "run2.csv").touch()
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "pendulum").mkdir()  # a result of that name is no log
     given = ["pendulum", str(tmp_path / "mine"), str(tmp_path / "run2.csv")]
     assert _parted(given) == (given[:2], [tmp_path / "run2.csv"])
 

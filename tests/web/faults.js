@@ -33,11 +33,13 @@
       const text = node.textContent.trim(), one = node.parentElement;
       if (!text || ["SCRIPT", "STYLE", "NOSCRIPT", "OPTION", "TITLE"].includes(one.tagName) || !one.checkVisibility({ visibilityProperty: true })) continue;
       const range = page.createRange(); range.selectNodeContents(node);
+      if (one.namespaceURI.endsWith("MathML")) continue;  // accents stand on their letters
       const boxes = [...range.getClientRects()].filter((box) => box.width > 1 && box.height > 1);
       if (!boxes.length) continue;
       const style = getComputedStyle(one), svg = one.closest("svg"), below = behind(one);
       const ink = svg ? colour(style.fill, getComputedStyle(svg).filter) : colour(style.color);
       let opacity = ink[3]; for (const e of parents(one)) opacity *= Number(getComputedStyle(e).opacity);
+      if (opacity < 0.02 || boxes.every((box) => box.right < 0)) continue;  // a drawer that is shut
       const strength = contrast(over([...ink.slice(0, 3), opacity], below), below);
       if (strength < LEAST) say(`contrast ${strength.toFixed(1)}`, text);
       let ends = [-Infinity, Infinity], heights = [-Infinity, Infinity], cut = false, stuck = false;  // where parents that scroll or clip let it be seen
