@@ -16,7 +16,7 @@ from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
-from multiprocessing import current_process, get_context
+from multiprocessing import AuthenticationError, current_process, get_context
 from multiprocessing.connection import Client, Connection, Listener
 from pathlib import Path
 from threading import Condition, Lock, Thread
@@ -162,7 +162,10 @@ def _serve(address: str, devices: list[str], tell: Connection) -> None:
         Thread(target=desk.work, args=(device,), daemon=True).start()
     tell.send(None)
     while True:
-        Thread(target=_hear, args=(listener.accept(), desk.put), daemon=True).start()
+        try:
+            Thread(target=_hear, args=(listener.accept(), desk.put), daemon=True).start()
+        except (AuthenticationError, EOFError, OSError):
+            continue  # one that is not of ours, or has ended
 
 
 def _hear(connection: Connection, ask: Callable[[_Asked], None]) -> None:
@@ -202,18 +205,28 @@ class _Desk:
 
         cards: dict[str, Card] = {}
         while True:
-            some = self._next()
-            name = some[0].name
-            try:
-                card = cards.pop(name, None) or Card(pickle.loads(self._packed[name]), device, coarse=True)
-                cards[name] = card  # the last used is the last to go
-                if len(cards) > KEPT:
-                    del cards[next(iter(cards))]
-                _answer(some, card)
-            except Exception as error:
-                for asked in some:
-                    if not asked.answer.done():
+            together = self._next()
+            for some in (together, *([asked] for asked in together)):
+                left = [asked for asked in some if not asked.answer.done()]
+                if not left:
+                    continue
+                try:
+                    name = left[0].name
+                    cards[name] = cards.pop(name, None) or Card(self._blueprint(name), device, coarse=True)
+                    if len(cards) > KEPT:
+                        del cards[next(iter(cards))]  # the last used is the last to go
+                    _answer(left, cards[name])
+                except NoRoomError as error:  # worlds of other models go, and each job gets a run of its own
+                    for card in cards.values():
+                        card.clear()
+                    if len(left) == 1:
+                        left[0].answer.set_exception(error)
+                except Exception as error:
+                    for asked in left:
                         asked.answer.set_exception(error)
+
+    def _blueprint(self, name: str) -> Blueprint:
+        return pickle.loads(self._packed[name])
 
     def _next(self) -> list[_Asked]:
         """The oldest question, and those that can be answered with it."""
@@ -235,12 +248,7 @@ def _answer(some: Sequence[_Asked], card: Card) -> None:
     record = sum(8 * max(one.rows.shape[1] for one in each) * len(each[0].columns) for each in wanted)
     most, sizes = card.at_once(record), np.cumsum([len(job.clip) for _, job in asked])
     for number in np.unique(sizes // most):
-        part = [asked[i] for i in np.flatnonzero(sizes // most == number)]
-        try:
-            _run(part, card)
-        except NoRoomError:
-            for one in part:
-                _run([one], card)
+        _run([asked[i] for i in np.flatnonzero(sizes // most == number)], card)
 
 
 def _run(part: Sequence[tuple[_Asked, Job]], card: Card) -> None:
