@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -74,7 +74,7 @@ def motion_of(system: System, log: Log) -> MeasuredMotion:
         LogError: No stretch of the log, where all positions are measured, is long enough.
     """
     channels = tuple(c for c in system.channels if c.source == "qpos")
-    return _motion(_Layout(system, channels), log)
+    return _motion(_Measured(system, channels, log))
 
 
 def velocity_lag(system: System, log: Log) -> tuple[float, float] | None:
@@ -100,28 +100,30 @@ def velocity_lag(system: System, log: Log) -> tuple[float, float] | None:
     return late, rest * float(np.sqrt(repeats / max(over, 1e-300)))
 
 
-@dataclass(frozen=True)
-class _Layout:
-    """What a motion depends on of a system; systems of the same model and channels are equal."""
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """What a motion depends on: logs that share the measured series are equal, whatever their commands."""
 
     system: System
     channels: tuple[Channel, ...]
+    log: Log
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Layout) and self.channels == other.channels and self._home == other._home
+        return isinstance(other, _Measured) and self._parts == other._parts
 
     def __hash__(self) -> int:
-        return hash((self.channels, self._home))
+        return hash(self._parts)
 
-    @property
-    def _home(self) -> bytes:
-        system = self.system
-        return home(system.model, system.keyframe, system.input_spec)[0].tobytes()
+    @cached_property
+    def _parts(self) -> tuple[object, ...]:
+        system, series = self.system, tuple(self.log[channel.key] for channel in self.channels)
+        at_home = home(system.model, system.keyframe, system.input_spec)[0].tobytes()
+        return self.channels, at_home, self.log.dt, series
 
 
 @lru_cache(maxsize=_KEPT)
-def _motion(layout: _Layout, log: Log) -> MeasuredMotion:
-    system, channels = layout.system, layout.channels
+def _motion(measured: _Measured) -> MeasuredMotion:
+    system, channels, log = measured.system, measured.channels, measured.log
     model = system.model
     spacing = max((_spacing(log[c.key]) for c in channels), default=1)
     parts, smoothed = [], []
@@ -135,11 +137,11 @@ def _motion(layout: _Layout, log: Log) -> MeasuredMotion:
             qpos[:, list(channel.columns)] = found.values
             moved[:, :, dofs] = found.first, found.second
             sd[:, dofs], band[dofs] = found.sd, found.band
-        measured = {column for channel in channels for column in channel.columns}
+        columns = {column for channel in channels for column in channel.columns}
         for (
             change
         ) in moved:  # a follower's velocity, and so its acceleration, is its leader's times the slope
-            set_followers(model, qpos, change, measured)
+            set_followers(model, qpos, change, columns)
         own = band[band > 0.0]
         bent = min(int(_ENDS / (own.min() * spacing * log.dt)) if own.size else 0, int(_MOST * rows.size))
         inner = slice(bent, rows.size - bent)
