@@ -232,7 +232,8 @@ class Plant:
             self._step()
             robot.append(self._robot_sample(velocity))
             if self._steps % self._pose_every == 0:
-                poses.append(self._pose_sample())
+                at, qpos = self._at, self._data.qpos
+                poses.append((self.time, *self._seen(qpos[at.trunk]), *self._seen(qpos[at.box])))
         return {**_samples(_OWN, robot), **_samples(_SEEN, poses)}
 
     def _step(self) -> None:
@@ -267,10 +268,6 @@ class Plant:
             data.qvel[at.trunk_v][3:] + self._draw(self._noise.gyro, 3),
             force + self._draw(self._noise.accelerometer, 3),
         )
-
-    def _pose_sample(self) -> tuple[object, ...]:
-        qpos = self._data.qpos
-        return (self.time, *self._seen(qpos[self._at.trunk]), *self._seen(qpos[self._at.box]))
 
     def _seen(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
         turn = rotations.exp(self._draw(self._noise.orientation, 3))

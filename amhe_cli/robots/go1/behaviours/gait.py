@@ -177,16 +177,11 @@ def _steps(gait: Gait, phase: FloatArray, twist: FloatArray) -> tuple[FloatArray
     along_rate = np.where(flying, stance / flight * (1.0 - np.cos(turn)), -1.0)
     lift = 0.5 * gait.swing * (1.0 - np.cos(turn))
     lift_rate = gait.swing * np.pi / flight * np.sin(turn)
-    ahead, left = _velocity_at(neutral_feet(gait), twist)
+    x, y, _ = neutral_feet(gait).T
+    ahead, left = twist[..., :1] - twist[..., 2:] * y, twist[..., 1:2] + twist[..., 2:] * x
     places = np.broadcast_arrays(along * ahead, along * left, lift)
     rates = np.broadcast_arrays(along_rate * ahead, along_rate * left, lift_rate)
     return np.stack(places, axis=-1), np.stack(rates, axis=-1)
-
-
-def _velocity_at(places: FloatArray, twist: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Velocity ahead and left [m/s], each (..., 4), of places (4, 3) that move with the trunk."""
-    ahead, left, yaw = (twist[..., None, i] for i in range(3))
-    return ahead - yaw * places[:, 1], left + yaw * places[:, 0]
 
 
 def _loads(gait: Gait, phase: FloatArray) -> FloatArray:

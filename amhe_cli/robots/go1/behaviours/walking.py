@@ -179,12 +179,8 @@ class Helm:
     ) -> None:
         self._path, self._speed, self._taper = path, speed, taper
         self._half_length, self._half_width = half_length, half_width
-        self._steering, self._retreat, self._pacing, self._insisting = (
-            steering,
-            retreat,
-            Pacing(),
-            Insisting(),
-        )
+        self._steering, self._retreat = steering, retreat
+        self._pacing, self._insisting = Pacing(), Insisting()
         self.retreating = False
 
     def on_path(self, state: State) -> Reference:
@@ -227,7 +223,8 @@ class Helm:
         gap, left = self.gap(state)
         self._judge(gap, left - offset, left, float(wrapped(yaw_of(state.trunk.orientation) - box_yaw)))
         if self.retreating:
-            return replace(wanted, speed=self._retreat_speed(gap), turn=0.0, yaw=box_yaw, pushing=0.0)
+            speed = -self._retreat.speed if gap < self._retreat.clear else 0.0
+            return replace(wanted, speed=speed, turn=0.0, yaw=box_yaw, pushing=0.0)
         touching = gap < s.touching
         if touching and path.speed == self._speed:  # not while the commanded speed falls
             self._pacing.update(state.time, 1.0 - float(heading_velocity(state.trunk)[0]) / self._speed)
@@ -256,9 +253,6 @@ class Helm:
             self.retreating = True
         elif abs(misplaced) < r.aligned_left and abs(turn) < r.aligned_turn and gap > 0.5 * r.clear:
             self.retreating = False
-
-    def _retreat_speed(self, gap: float) -> float:
-        return -self._retreat.speed if gap < self._retreat.clear else 0.0
 
 
 @dataclass(slots=True, eq=False)
