@@ -194,7 +194,11 @@ def quick(patch: pytest.MonkeyPatch) -> None:
 
 
 #: Command -> options that let it take little time.
-LITTLE = {"amhe identify": ["--max-time", "2"], "amhe audit example:": ["--to", "3"]}
+LITTLE = {
+    "amhe identify": ["--max-time", "1"],
+    "amhe audit example:": ["--to", "3"],
+    "amhe check example:": ["--to", "2"],
+}
 RUN = [page for page in user_pages() if list(commands(page.read_text(encoding="utf-8"), "sh"))]
 
 
