@@ -1,11 +1,14 @@
-"""A task run for a second: reproducible, blind to the truth, and of the right belief."""
+"""Episodes: the loop, what it records, and its adaptation."""
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
+from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -13,20 +16,35 @@ import mujoco
 import numpy as np
 import pytest
 
+from amhe_cli.core.belief import belief_of
 from amhe_cli.core.errors import ConfigError, OperatorStopError
+from amhe_cli.core.log import Window, merged
 from amhe_cli.core.rotations import exp, multiply
-from amhe_cli.estimation.online.workers import Trouble
+from amhe_cli.estimation.online.horizon import Estimate
+from amhe_cli.estimation.online.tracker import Buffer
+from amhe_cli.estimation.online.workers import InProcess, Trouble
 from amhe_cli.live.episode import Cycle
-from amhe_cli.live.recorder import drive
+from amhe_cli.live.recorder import WALL_CLOCK, Recorder, drive
+from amhe_cli.logs import inspect_log, read_log, read_metadata, survey
 from amhe_cli.robots.go1 import tasks
 from amhe_cli.robots.go1.behaviours.gait import box_friction
 from amhe_cli.robots.go1.judge import History
-from amhe_cli.robots.go1.kinematics import HOME
+from amhe_cli.robots.go1.kinematics import HOME, JOINTS
 from amhe_cli.robots.go1.model import Box, Change, home, plant_model
 from amhe_cli.robots.go1.plant import Plant
-from amhe_cli.robots.go1.run import Run, RunOptions, measured, open_run, task_and_system
+from amhe_cli.robots.go1.run import (
+    Run,
+    RunOptions,
+    estimator_of,
+    measured,
+    open_run,
+    recorder_of,
+    task_and_system,
+)
 from amhe_cli.robots.go1.state import State
-from amhe_cli.robots.go1.tasks import Task
+from amhe_cli.robots.go1.tasks import Believed, Task, find_task
+from amhe_cli.system.system import System
+from tests.estimation.online.test_workers import ready, wait
 
 PERIOD = 0.02
 
@@ -261,3 +279,221 @@ def test_the_first_plan_makes_no_simulations(monkeypatch: pytest.MonkeyPatch) ->
     run = open_run(RunOptions("t1", duration=0.1))
     monkeypatch.setattr("mujoco.batch.Batch", None)
     assert next(run.episode.cycles()).plan.step is not None
+
+
+QUICK = {"control": {"samples": 5, "horizon": 8}}
+
+
+def messages(path: Path) -> dict[str, list[tuple[int, bytes]]]:
+    """Every message by topic, as it lies in the file."""
+    from mcap.reader import make_reader
+
+    found: dict[str, list[tuple[int, bytes]]] = {}
+    with path.open("rb") as file:
+        for _, channel, message in make_reader(file).iter_messages():
+            found.setdefault(channel.topic, []).append((message.log_time, message.data))
+    return found
+
+
+def record(path: Path, task: str = "t1", seconds: float = 0.6, threads: int = 1, seed: int = 0) -> list:
+    """Run a task for some time; its cycles."""
+    run = open_run(RunOptions(task, seed=seed, duration=seconds, threads=threads, settings=QUICK))
+    cycles = []
+    with recorder_of(run, path) as recorder:
+        for cycle in run.episode.cycles():
+            recorder.write(cycle)
+            cycles.append(cycle)
+    return cycles
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list]:
+    path = tmp_path_factory.mktemp("live") / "log.mcap"
+    return path, record(path)
+
+
+def test_identify_finds_every_signal_all_the_time(log) -> None:
+    found = inspect_log(log[0], System.load("go1_push"))
+    assert found.system == "go1_push"
+    assert found.problem is None
+    assert all(check.problem is None for check in found.checks)
+    assert found.duration == pytest.approx(0.58, abs=0.02)  # from the first command on
+
+
+def test_what_is_read_is_what_was_measured_and_played(log) -> None:
+    path, cycles = log
+    read = read_log(path, System.load("go1_push"))
+    samples = merged([cycle.samples for cycle in cycles])
+    times, joints = samples["joints.position"]
+    at = round((0.3 - 1e-9 * read.start_ns) / read.dt)  # the row of 0.3 s
+    assert read["joints.position"].columns == JOINTS
+    measured = joints[np.argmin(np.abs(times - 0.3))]
+    assert read["joints.position"].values[at] == pytest.approx(measured, abs=1e-6)
+    cycle = next(c for c in cycles if c.estimate.time == pytest.approx(0.3))
+    assert read["box.position"].values[at] == pytest.approx(cycle.samples["box.position"][1][-1], abs=1e-6)
+    assert read["trunk.linear_velocity"].values[at] == pytest.approx(cycle.estimate.trunk.velocity, abs=1e-6)
+    assert read["trunk.angular_velocity"].values[at] == pytest.approx(cycle.estimate.trunk.rate, abs=1e-6)
+    assert read["command.position"].values[at] == pytest.approx(cycle.played, abs=1e-6)
+
+
+def test_stamps_are_the_time_of_the_run(log) -> None:
+    path, cycles = log
+    by_topic = messages(path)
+    stamps = [stamp for stamp, _ in by_topic["/joint_commands"]]
+    assert stamps == [round(cycle.estimate.time * 1e6) * 1000 for cycle in cycles]
+    assert stamps[0] == 20_000_000
+    assert [stamp for stamp, _ in by_topic["/joint_states"]][:3] == [20_000_000, 30_000_000, 40_000_000]
+
+
+def test_the_log_says_what_it_is_of_and_carries_its_settings(log) -> None:
+    metadata = read_metadata(log[0])
+    assert (metadata["system"], metadata["task"], metadata["mode"], metadata["seed"]) == (
+        "go1_push",
+        "t1",
+        "true",
+        "0",
+    )
+    assert json.loads(metadata["truth"]) == pytest.approx(
+        {"box_mass": 4.0, "box_inertia_scale": 1.0, "floor_friction": 0.6}
+    )
+    from mcap.reader import make_reader
+
+    with log[0].open("rb") as file:
+        attached = {one.name: one.data.decode() for one in make_reader(file).iter_attachments()}
+    assert '"samples": 5' in attached["settings.yaml"]
+    assert "box_mass" in attached["system.yaml"]
+
+
+def test_a_truth_that_will_change_is_no_metadata(tmp_path: Path) -> None:
+    record(tmp_path / "log.mcap", "t4", seconds=0.04)
+    assert "truth" not in read_metadata(tmp_path / "log.mcap")
+    assert "/amhe/truth" in {topic.name for topic in survey(tmp_path / "log.mcap").topics}
+
+
+@pytest.mark.medium
+def test_a_seed_gives_the_same_log_whatever_the_threads(log, tmp_path: Path) -> None:
+    record(tmp_path / "again.mcap", threads=2)
+    first, again = (messages(path) for path in (log[0], tmp_path / "again.mcap"))
+    assert set(first) == set(again)
+    for topic in set(first) - set(WALL_CLOCK):
+        assert first[topic] == again[topic], topic
+
+
+def test_a_log_that_breaks_off_is_whole(log, tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with pytest.raises(KeyboardInterrupt), Recorder(path, (), {}, {}) as recorder:
+        recorder.write(log[1][0])
+        raise KeyboardInterrupt
+    assert not survey(path).problems
+    assert [p.name for p in tmp_path.iterdir()] == ["log.mcap"]
+
+
+def test_a_quarter_of_a_minute_takes_less_than_a_megabyte(log, tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    record(path, seconds=0.02)
+    definitions, whole = path.stat().st_size, log[0].stat().st_size
+    assert definitions + (whole - definitions) / 0.58 * 15.0 < 1e6
+
+
+QUICK_ADAPTIVE = {"control": {"samples": 5, "horizon": 8}, "mhe": {"samples": 6}}
+
+
+def cycles(tmp_path: Path, seconds: float, threads: int = 1) -> list[Cycle]:
+    run = open_run(
+        RunOptions("t1", mode="adaptive", seed=5, duration=seconds, threads=threads, settings=QUICK_ADAPTIVE)
+    )
+    with recorder_of(run, tmp_path / "log.mcap") as recorder:
+        found = []
+        for cycle in run.episode.cycles():
+            recorder.write(cycle)
+            found.append(cycle)
+    return found
+
+
+@pytest.fixture(scope="module")
+def adaptive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Cycle]]:
+    folder = tmp_path_factory.mktemp("adaptive")
+    return folder / "log.mcap", cycles(folder, 2.2)
+
+
+def news(of: list[Cycle]) -> list[tuple[float, Estimate]]:
+    return [(cycle.time, n) for cycle in of for n in cycle.news if isinstance(n, Estimate)]
+
+
+def test_it_starts_from_the_baseline_and_learns(adaptive: tuple[Path, list[Cycle]]) -> None:
+    _, run = adaptive
+    assert run[0].belief == pytest.approx({"box_mass": 2.0, "box_inertia_scale": 1.0, "floor_friction": 0.3})
+    last = run[-1].belief
+    assert last["box_mass"] * last["floor_friction"] > 1.2, "0.6 was believed, 2.4 is true"
+
+
+def test_a_belief_takes_effect_after_the_latency_and_between_plans(
+    adaptive: tuple[Path, list[Cycle]],
+) -> None:
+    _, run = adaptive
+    first, estimate = news(run)[0]
+    assert first == pytest.approx(estimate.time + 0.08 + 0.02)  # the cycle that ends after it
+    changed = [b.estimate.time for a, b in pairwise(run) if a.belief != b.belief]
+    assert set(np.round(changed, 3)) <= set(np.round([t for t, _ in news(run)], 3))
+    assert np.diff([e.time for _, e in news(run)]) == pytest.approx(0.1)
+
+
+@pytest.mark.medium
+def test_the_same_seed_gives_the_same_run_on_any_number_of_threads(
+    adaptive: tuple[Path, list[Cycle]], tmp_path: Path
+) -> None:
+    again = cycles(tmp_path, 1.2, threads=2)
+    for one, other in zip(again, adaptive[1], strict=False):
+        np.testing.assert_array_equal(one.plan.targets, other.plan.targets)
+        assert one.belief == other.belief
+
+
+def test_the_buffer_holds_what_the_log_holds(adaptive: tuple[Path, list[Cycle]]) -> None:
+    path, run = adaptive
+    system = System.load("go1_push", QUICK_ADAPTIVE)
+    log = read_log(path, system)
+    assert all(s.names in ((), JOINTS) for s in system.signals), "samples come in this order"
+    buffer = Buffer(system.signals, 0.5, log.dt, 0.2)
+    windows = []
+    for cycle in run:
+        buffer.append(cycle.samples)
+        windows.append(buffer.window(cycle.estimate.time))
+    assert windows[20] is None, "there is not enough yet"
+    for cycle, window in list(zip(run, windows, strict=True))[60:100:7]:
+        assert window is not None and window.length == 125
+        stop = round((cycle.estimate.time - 1e-9 * log.start_ns) / log.dt)
+        for key, logged in log.series.items():
+            live = window.log[key]
+            ours, theirs = slice(window.start, window.stop + 1), slice(stop - 125, stop + 1)
+            # a sample halfway between two steps may count for either
+            assert live.sampled[ours].sum() == pytest.approx(logged.sampled[theirs].sum(), abs=1), key
+            np.testing.assert_allclose(live.values[ours], logged.values[theirs], atol=1e-9, err_msg=key)
+
+
+def test_the_estimator_begins_with_what_the_controller_believes() -> None:
+    task = replace(find_task("t1"), baseline=Believed(3.3, 0.44))  # as a probe has its own
+    options = RunOptions("t1", mode="adaptive", duration=0.6, settings=QUICK_ADAPTIVE)
+    run = list(open_run(options, task).episode.cycles())
+    assert run[0].belief["box_mass"] == pytest.approx(3.3)
+    first = news(run)[0][1]
+    assert first.mark == "still", "the box has not been met yet"
+    assert first.theta == pytest.approx([3.3, 1.0, 0.44])
+
+
+@pytest.mark.medium
+def test_the_estimator_of_a_run_works_in_a_process(adaptive: tuple[Path, list[Cycle]]) -> None:
+    system = System.load("go1_push", QUICK_ADAPTIVE)
+    log = read_log(adaptive[0], system)
+    options = RunOptions("t1", mode="adaptive", seed=5, settings=QUICK_ADAPTIVE)
+    window = Window(log, 60, 125)
+    start = belief_of(system, np.zeros(3), np.eye(3))
+    here = estimator_of(options, start).update(window, 1.0)
+    worker = InProcess(partial(estimator_of, options, start), budget=1.0, patience=20.0, starting=60.0)
+    try:
+        ready(worker)
+        worker.submit(window, 1.0)
+        assert worker.ready is False
+        there = wait(worker)[0]
+        np.testing.assert_array_equal(there.theta, here.theta)
+    finally:
+        worker.close()

@@ -1,7 +1,7 @@
 """The packets of a Go1, byte by byte: commands to its motors, states that it reports, and their checksums.
 
 Little endian, packed, no padding. Every offset was checked against Unitree's own library in both directions
-(tests/robots/go1/link/test_vendor.py does it again). Twenty motors fit into a packet; a Go1 has
+(tests/robots/go1/link/test_codec.py does it again). Twenty motors fit into a packet; a Go1 has
 the first twelve.
 """
 
