@@ -6,7 +6,7 @@ import copy
 import logging
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import cache
 
 import mujoco
@@ -139,7 +139,11 @@ def shared_cards(kind: str) -> Iterator[str]:
     if kind == "cpu":
         yield kind
         return
-    with sharing(visible_cards()) as address:
+    with ExitStack() as stack:
+        try:
+            address = stack.enter_context(sharing(visible_cards()))
+        except ImportError as error:
+            raise _missing(error) from None
         yield f"{kind}@{address}"
 
 

@@ -13,7 +13,7 @@ import pickle
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import cache
 from multiprocessing import AuthenticationError, current_process, get_context
@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from amhe_cli.core.arrays import to_host
+from amhe_cli.core.arrays import AnyArray, to_host
 from amhe_cli.core.errors import SimulationError
 from amhe_cli.engine.gpu.blueprint import Blueprint
 from amhe_cli.engine.gpu.job import Job, NoRoomError, joined
@@ -44,6 +44,7 @@ def sharing(devices: list[str]) -> Iterator[str]:
     """The address of a process that has these devices, for processes that are started inside.
 
     Raises:
+        ImportError: A library of the cards is not installed.
         SimulationError: That process did not begin.
     """
     with tempfile.TemporaryDirectory() as folder:
@@ -53,9 +54,11 @@ def sharing(devices: list[str]) -> Iterator[str]:
         process.start()
         tell.close()
         try:
-            ready.recv()
+            lacks = ready.recv()
         except EOFError:
             raise SimulationError("the process that has the graphics cards did not begin") from None
+        if lacks is not None:
+            raise lacks
         try:
             yield address
         finally:
@@ -156,8 +159,13 @@ class _Asked:
 
 def _serve(address: str, devices: list[str], tell: Connection) -> None:
     """Answer until the process is ended."""
+    try:
+        from amhe_cli.engine.gpu.card import Card  # which takes seconds to load
+    except ImportError as error:
+        tell.send(error)
+        return
     listener = Listener(address, backlog=1024, authkey=current_process().authkey)
-    desk = _Desk()
+    desk = _Desk(Card)
     for device in devices:
         Thread(target=desk.work, args=(device,), daemon=True).start()
     tell.send(None)
@@ -184,9 +192,14 @@ def _hear(connection: Connection, ask: Callable[[_Asked], None]) -> None:
 
 
 class _Desk:
-    """Where questions wait for a card that is free."""
+    """Where questions wait for a card that is free.
 
-    def __init__(self) -> None:
+    Args:
+        card: Makes the worlds of a blueprint on a device, see `Card`.
+    """
+
+    def __init__(self, card: Callable[..., Card]) -> None:
+        self._new = card
         self._waiting: list[_Asked] = []
         self._change = Condition()
         self._packed: dict[str, bytes] = {}
@@ -201,8 +214,6 @@ class _Desk:
 
     def work(self, device: str) -> None:
         """Answer questions with one card, as long as the process lives."""
-        from amhe_cli.engine.gpu.card import Card  # which takes seconds to load
-
         cards: dict[str, Card] = {}
         while True:
             together = self._next()
@@ -212,7 +223,9 @@ class _Desk:
                     continue
                 try:
                     name = left[0].name
-                    cards[name] = cards.pop(name, None) or Card(self._blueprint(name), device, coarse=True)
+                    cards[name] = cards.pop(name, None) or self._new(
+                        self._blueprint(name), device, coarse=True
+                    )
                     if len(cards) > KEPT:
                         del cards[next(iter(cards))]  # the last used is the last to go
                     _answer(left, cards[name])
@@ -254,9 +267,15 @@ def _answer(some: Sequence[_Asked], card: Card) -> None:
 def _run(part: Sequence[tuple[_Asked, Job]], card: Card) -> None:
     """Answer jobs with one run of a card's worlds; numbers go in single precision, as they are."""
     done, at = card.run(joined([job for _, job in part])), 0
-    single = [each.astype(np.float32) for each in done.values]
+    single = [_single(each) for each in done.values]
     for asked, job in part:
         rows, at = slice(at, at + len(job.clip)), at + len(job.clip)
         pairs = zip(single, job.wanted, strict=True)
         values = [to_host(each[rows, : wanted.rows.shape[1]]) for each, wanted in pairs]
         asked.answer.set_result((done.completed[rows], values))
+
+
+def _single(values: AnyArray) -> AnyArray:
+    """An array in single precision, on the card where it lies."""
+    with nullcontext() if isinstance(values, np.ndarray) else values.device:
+        return values.astype(np.float32)
