@@ -23,17 +23,14 @@ from amhe_cli.core.yaml_file import merged
 from amhe_cli.estimation.conclude import Search
 from amhe_cli.estimation.core.result import Identification, Iteration
 from amhe_cli.estimation.identification import IdentifyOptions, concluded, searched_for
-from amhe_cli.estimation.uncertainty.misfit import unexplained
 from amhe_cli.init.folder import Proposal
 from amhe_cli.system.system import System
 
 #: Searches until no more number stands out, at most.
 _ROUNDS = 8
-#: Clips of the searches where motions are matched: few show what is far off, and some how far.
-_CLIPS = (5, 12)
-#: Where a data sheet may be wrong by more than slopes show, in units of `Claim.wide`, and the share by which
-#: the cost must fall there.
-_FAR, _FALLS = (-2.0, -1.0, 1.0, 2.0), 0.1
+#: Clips of the searches where motions are matched, and their length [s]: many short ones, along which even
+#: wrong numbers do not lead far away, show what is far off, and some of the usual length by how much.
+_CLIPS = ((16, 0.3), (12, None))
 #: Share by which the cost may rise, by chance, where more is left open.
 _RISES = 1e-3
 #: Correlation from which two numbers are known only together.
@@ -131,17 +128,21 @@ def audit(
         raise ConfigError("the model says no number of a joint that the log measures")
     doubts, logs = doubts_of(proposal), tuple[Log, ...]()
 
-    def searched(wide: Collection[Group], near: Search | None, clips: int | None) -> Search:
+    def searched(
+        wide: Collection[Group], near: Search | None, clips: int | None, length: float | None
+    ) -> Search:
         nonlocal logs
         guesses = [claim.guess(claim.group not in wide) for claim in claims]
-        system = replace(proposal, parameters=[*guesses, *doubts]).system(name, settings)
+        short = {"clips": {"length": [length, length]}} if length else {}
+        system = replace(proposal, parameters=[*guesses, *doubts]).system(name, merged(settings, short))
         logs = logs or tuple(read(system))
         return searched_for(system, logs, None, options, progress, quick=True, near=near, clips=clips)
 
     # rollouts of all clips take their time, and data sheets are held against what some of them say
     search, doubted = None, Doubted()
-    for clips in (None,) if proposal.match == "effort" else _CLIPS:
-        search, doubted = _without_suspects(partial(searched, clips=clips), claims, doubted, search)
+    for clips, length in ((None, None),) if proposal.match == "effort" else _CLIPS:
+        among = partial(searched, clips=clips, length=length)
+        search, doubted = _without_suspects(among, claims, doubted, search)
     assert search is not None
     found, system = concluded(search, quick=True), search.problem.system
     lines = _lines(system, found, claims, doubted.ever, logs)
@@ -172,12 +173,9 @@ def _without_suspects(
     suspects, ever = _suspects(search, claims, wide)
     ever |= doubted.ever
     for _ in range(_ROUNDS):
-        begin = search
-        if not suspects:
-            suspects, begin = _far_off(search, claims, wide | refused)
         if not suspects:
             break
-        tried = searched(wide | {*suspects}, begin)
+        tried = searched(wide | {*suspects}, search)
         if _cost(tried) <= (1.0 + _RISES) * _cost(search):
             search, wide, refused = tried, wide | {*suspects}, frozenset()
         elif len(suspects) > 1:
@@ -249,35 +247,6 @@ def _suspects(
     return found, ever
 
 
-def _far_off(search: Search, claims: Sequence[Claim], known: Collection[Group]) -> tuple[list[Group], Search]:
-    """The group that is wrong by so much that no slope shows it, and the search to begin from there.
-
-    A servo whose file is fifty times too stiff feels the same if it is ten per cent softer. Where no value
-    near the file's explains the logs, each group is moved far away by itself; none is said where that does
-    not help.
-    """
-    problem, space, at = search.problem, search.problem.system.space, search.finding.z
-    if not unexplained(search.fit):
-        return [], search
-    moved: list[tuple[Group, FloatArray]] = []
-    rows = _rows(problem.system, claims)
-    for group in dict.fromkeys(claim.group for claim in claims if claim.group not in known):
-        own = [(row, claim.wide) for row, claim in zip(rows, claims, strict=True) if claim.group == group]
-        for far in _FAR:
-            step = np.zeros(len(at))
-            for row, wide in own:
-                step[row] = far * wide / space.prior_sd[row]
-            moved.append((group, space.clip(at + step)))
-    if not moved:
-        return [], search
-    costs = problem.cost(problem.clips, search.finding.scale).costs(np.stack((at, *(z for _, z in moved))))
-    best = int(np.argmin(costs[1:]))
-    if not costs[1 + best] < (1.0 - _FALLS) * costs[0]:
-        return [], search
-    group, z = moved[best]
-    return [group], replace(search, finding=replace(search.finding, z=z, straight=False))
-
-
 def _lines(
     system: System,
     found: Identification,
@@ -285,30 +254,26 @@ def _lines(
     ever: Collection[Group],
     logs: Sequence[Log],
 ) -> list[Line]:
-    """The table; what is contradicted stays so if all that `ever` stood out is left open.
-
-    Where no value explains the logs, all clips together know no more than one.
-    """
+    """The table; what is contradicted stays so if all that `ever` stood out is left open."""
     belief = found.belief
     evidence = _evidence(
         system.space, system.space.phi_of(belief.estimate), found.information, belief.covariance
     )
     rows = _rows(system, claims)
     file, sheet = (one[rows] for one in _sheets(system, claims))
-    alike = max(1, found.clips.fitted) if found.unexplained else 1
-    logged = said(evidence, rows, file, sheet, alike)
+    logged = said(evidence, rows, file, sheet)
     sd = evidence.prior[1].copy()
     for row, claim in zip(rows, claims, strict=True):
         if claim.group in ever:
             sd[row] = claim.wide
-    alone = said(evidence.with_priors(sd), rows, file, sheet, alike)
+    alone = said(evidence.with_priors(sd), rows, file, sheet)
     t = np.sign(logged.t) * np.minimum(np.abs(logged.t), np.abs(alone.t))
     chance = chances(t)
-    wrong = contradicted(chance)
+    wrong = contradicted(chance) & (not found.unexplained)
     log, factor = system.space.log[rows], np.array([claim.factor for claim in claims])
     value = factor * theta_of(log, logged.mean)
     sd = logged.sd * np.where(log, value, factor)
-    verdicts = verdicts_of(wrong, logged.sd <= sheet)
+    verdicts = verdicts_of(wrong, (logged.sd <= sheet) & (not found.unexplained))
     weight = _weights(system, found, claims, wrong, logs)
     lines = [
         Line(
@@ -363,7 +328,7 @@ def _weights(
 def _cure(system: System, found: Identification, evidence: Findings, claim: Claim) -> str:
     """What would tell a number."""
     if found.unexplained:
-        return "no value explains these logs, so that all of them count no more than one clip"
+        return "no value explains these logs, and none can be judged by them"
     row = system.space.names.index(claim.parameter)
     idle = any(reason.kind == "idle" for reason in found.parameters[row].reasons)
     if claim.number.kind == "force_limit" and idle:

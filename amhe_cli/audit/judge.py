@@ -21,9 +21,6 @@ W leaves open without need counts against it.
 Numbers that stood out at the same time may explain the same. One is only contradicted if it is so with the
 others left open, too.
 
-A misfit that no value explains is no noise: it may pull each clip the same way. Of n clips that all err alike
-the mean errs as much as one, so that each variance is n times as large. What is contradicted even so is.
-
 Of many numbers some differ by chance: Holm's steps (1979) keep the chance that a table calls any right number
 contradicted at 5 %, and so the share of such verdicts that are wrong.
 """
@@ -93,23 +90,20 @@ class Said:
     t: FloatArray
 
 
-def said(
-    evidence: Findings, rows: Sequence[int], file: FloatArray, sheet: FloatArray, alike: int = 1
-) -> Said:
+def said(evidence: Findings, rows: Sequence[int], file: FloatArray, sheet: FloatArray) -> Said:
     """What the logs say of single numbers.
 
     Args:
         evidence: The estimate.
         rows: The numbers' parameters.
         file, sheet: What the file says of them, and the sd of its data sheet, shape (k,).
-        alike: So many clips err alike: together they know no more than one of them.
     """
     known, at = evidence.known().diagonal()[list(rows)], list(rows)
     more = np.maximum(evidence.covariance.diagonal()[at] - known, 0.0)
     (n, p), m = evidence.prior[:, at], evidence.mean[at]
     q = np.maximum(1.0 / known - p**-2.0, _TINY * p**-2.0)
     mean = (m / known - n / p**2) / q
-    sd = np.sqrt(alike * (1.0 / q + more / (known * q) ** 2))
+    sd = np.sqrt(1.0 / q + more / (known * q) ** 2)
     return Said(mean, sd, (mean - file) / np.sqrt(sd**2 + sheet**2))
 
 

@@ -75,7 +75,7 @@ def expected(system: System, logs: Sequence[Log], *, threads: int = 1, seed: int
     steps = problem.linearisation * max(clip.length for clip in problem.clips)
     if steps > STEPS and len(problem.clips) > FEWEST:
         kept = max(FEWEST, len(problem.clips) * STEPS // steps)
-        problem = problem.part(np.linspace(0, len(problem.clips) - 1, kept).round().astype(int))
+        problem = replace(problem, only=tuple(evenly(problem.clips, kept)))
     few = problem.clips
     share = (1.0 - settings.held_out) * min(len(clips), settings.most) / len(few)
     state, pace = search.restart(problem, np.zeros(len(system.space))), 0.0
