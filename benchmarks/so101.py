@@ -1,9 +1,10 @@
 """A real SO-101 arm (docs/real.md): what do friction of gears and servos as they are built buy?
 
-    python benchmarks/so101.py [--jobs 3] [--max-time 420]
+    python benchmarks/so101.py [--jobs 3] [--max-time 420] [--variants 0,3]
 
-Four motions are fitted, and the figure eight is predicted, by the example system and by two that add what the
-arm's Feetech STS3215 is at 12 V and gain 32: one set of numbers for all joints, and friction joint by joint.
+Four motions are fitted, and the figure eight is predicted, by the example system and by others that add what
+the arm's Feetech STS3215 is at 12 V and gain 32: one set of numbers for all joints; friction joint by joint;
+all friction, damping and armature joint by joint, with sag and back-EMF; and the friction model M6 by joint.
 Errors are rms over the six joints, as a ratio to those of the maker's MJCF on the same clips.
 """
 
@@ -48,10 +49,37 @@ def systems() -> dict[str, dict[str, Any]]:
         for word in ("load_friction", "stribeck_friction")
     }
     firmware = {word: shared[word] for word in ("punch", "dead_band")}
+    supply = {
+        "supply_sag": _linear(0.1, 0.15, [-0.5, 1.5], [{"actuator": "*", "set": "supply_sag"}]),
+        "back_emf": _linear(0.0, 0.3, [-2.0, 3.0], [{"actuator": "*", "set": "back_emf"}]),
+    }
+    m6 = {
+        f"{joint}_{word}": _linear(nominal, sd, [-1.0, 1.5], [{"joint": joint, "set": word}])
+        for joint in JOINTS
+        for word, nominal, sd in (
+            ("load_friction_motor", 0.2, 0.1),
+            ("load_friction_external", 0.2, 0.1),
+            ("stribeck_friction", 0.05, 0.08),
+            ("stribeck_load_friction", 0.0, 0.1),
+            ("load_friction_quadratic", 0.0, 0.05),
+        )
+    }
+    dry = {
+        f"{joint}_{word}": {
+            "nominal": 1.0,
+            "prior_sd": 0.5,
+            "unit": "-",
+            "targets": [{"joint": joint, "set": word, "mode": "scale"}],
+        }
+        for joint in JOINTS
+        for word in ("friction_loss", "damping", "armature")
+    }
     return {
         "constant friction": {},
         "servos as built": gains | zeros | shared,
         "the same, friction joint by joint": gains | zeros | firmware | each,
+        "also all other friction by joint, sag, back-EMF": gains | zeros | firmware | each | supply | dry,
+        "M6 joint by joint": gains | zeros | firmware | m6,
     }
 
 
@@ -71,6 +99,7 @@ def trial(number: int) -> dict[str, Any]:
         at = errors.setdefault("end" if one.to_end else f"{one.horizon:g} s", [0.0, 0.0])
         at[0] += one.initial**2 / len(JOINTS)
         at[1] += one.identified**2 / len(JOINTS)
+    print(name, {at: np.degrees(np.sqrt(pair)).round(3).tolist() for at, pair in errors.items()}, flush=True)
     return {
         "name": name,
         "errors": {at: np.degrees(np.sqrt(pair)).tolist() for at, pair in errors.items()},
@@ -87,9 +116,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--jobs", type=int, default=3, help="processes")
     parser.add_argument("--max-time", type=float, default=MAX_TIME, help="of each search [s]")
+    every = range(len(systems()))
+    parser.add_argument(
+        "--variants", type=lambda text: [int(one) for one in text.split(",")], default=every, metavar="I,..."
+    )
     given = parser.parse_args()
     MAX_TIME = given.max_time
-    done = over_seeds(f"so101-{MAX_TIME:g}", trial, range(len(systems())), given.jobs)
+    done = over_seeds(f"so101-{MAX_TIME:g}", trial, sorted({0, *given.variants}), given.jobs)
     maker = {at: initial for at, (initial, _) in done[0]["errors"].items()}
     rows = [("maker's MJCF", *(f"{error:.2f}°" for error in maker.values()), "", "")]
     for one in done:

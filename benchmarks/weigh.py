@@ -2,6 +2,7 @@
 
     python benchmarks/weigh.py [--seeds 10] [--jobs 2]
     python benchmarks/weigh.py --real [--jobs 2]
+    python benchmarks/weigh.py --wrong [--jobs 2]
 
 The plant is a Feetech STS3215 at 12 V that is *not* the model which `init` writes: friction of the model M6
 of arXiv 2410.08650, larger at rest and uneven over a turn, a least PWM, a lag of the firmware, a supply that
@@ -16,6 +17,9 @@ Each log of 6 s is weighed twice, as a user would do with the commands:
 At least 60 % of the masses must be identified or conditional, 90 % of these must hold, and their median error
 must be 5 %. Beside them stand plain least squares of the torques that the servo's data sheet promises, and
 `mujoco.sysid` (where it is installed) of the same log, with mass, damping, friction and armature free.
+
+`--real` does so with logs of a Dynamixel XL330. `--wrong` takes gain and limit of that servo as exact,
+and has one of them wrong: no mass may be called identified.
 """
 
 from __future__ import annotations
@@ -64,6 +68,13 @@ MOTIONS: dict[str, Callable[[float], float]] = {
     "lift_and_drop": lambda t: -np.pi / 4.0 * (1.0 - np.cos(np.pi * min(t, 2.0) / 2.0)),
 }
 OFF = 2.0
+#: What the model of the XL330 has wrong: factors on gain and limit.
+WRONG = {
+    "gain -30 %": (0.7, 1.0),
+    "gain +30 %": (1.3, 1.0),
+    "limit -40 %": (1.0, 0.6),
+    "limit +40 %": (1.0, 1.4),
+}
 #: Gain and motion of the logs of the XL330 that calibrate: the lowest and the highest gain.
 CALIBRATE = ((100, "sin_sin"), (800, "up_and_down"))
 
@@ -278,15 +289,21 @@ def trial(seed: int) -> dict[str, Any]:
     return {"servo": servo, "belief": estimates, "found": found}
 
 
+def xl330_bench(folder: str) -> Bench:
+    """That of the XL330, whose model says 0.4 kg."""
+    bench = Bench(Path(folder) / "bench.xml", "pendulum", "dynamixel:xl330-m288", 7.4)
+    text = (PROJECT / "examples" / "systems" / "xl330" / "model.xml").read_text()
+    bench.model.write_text(text.replace('mass="0.49"', 'mass="0.4"'))
+    return bench
+
+
 def real(number: int) -> dict[str, Any]:
     """One log of the XL330 (docs/real.md), alone and with the belief of two others."""
     logging.disable(logging.WARNING)
     path = sorted((DATA / "xl330").glob("*.mcap"))[number]
     gain, about = float(path.stem.split("_")[0][2:]), {"truth": 0.49, "motion": path.stem.partition("_")[2]}
     with tempfile.TemporaryDirectory() as name:
-        bench = Bench(Path(name) / "bench.xml", "pendulum", "dynamixel:xl330-m288", 7.4)
-        text = (PROJECT / "examples" / "systems" / "xl330" / "model.xml").read_text()
-        bench.model.write_text(text.replace('mass="0.49"', 'mass="0.4"'))
+        bench = xl330_bench(name)
         alone = bench.system(path, gain)
         about |= {"how": "alone", "least_squares": bench.least_squares(alone, path, gain)}
         found = [about | bench.by_sysid(alone, path) | weighed(alone, path, {})]
@@ -299,6 +316,34 @@ def real(number: int) -> dict[str, Any]:
             logs = [(path.parent / f"{stem}.mcap", {"load_mass": 0.49, **ratio[stem]}) for stem in known]
             own = {"pendulum_gain_ratio": gain / next(iter(known.values()))}
             found.append(about | {"how": "calibrated"} | weighed(first, path, own, calibrated(first, logs)))
+    return {"found": found}
+
+
+def wrong(number: int) -> dict[str, Any]:
+    """One log of the XL330, whose servo the model has wrong and takes as exact."""
+    logging.disable(logging.WARNING)
+    path, found = sorted((DATA / "xl330").glob("*.mcap"))[number], []
+    gain, motion = float(path.stem.split("_")[0][2:]), path.stem.partition("_")[2]
+    with tempfile.TemporaryDirectory() as name:
+        system = xl330_bench(name).system(path, gain)
+        description = yaml.safe_load(system.text)
+        exact = ("gain", "torque_scale", "gain_ratio")
+        parameters = {n: p for n, p in description["parameters"].items() if not n.endswith(exact)}
+        for how, (factor, limit) in WRONG.items():
+            spec = mujoco.MjSpec.from_file(str(system.folder / description["model"]))
+            servo = spec.actuators[0]
+            servo.gainprm = factor * np.array(servo.gainprm)
+            servo.biasprm = [0.0, factor * servo.biasprm[1], *servo.biasprm[2:]]
+            servo.forcerange = limit * np.array(servo.forcerange)
+            other = amhe.System.from_model(
+                spec,
+                parameters=parameters,
+                signals=description["signals"],
+                settings=description["settings"],
+                name="wrong",
+                warn=False,
+            )
+            found.append({"how": how, "truth": 0.49, "motion": motion} | weighed(other, path, {}))
     return {"found": found}
 
 
@@ -332,19 +377,27 @@ def main() -> None:
     parser.add_argument("--seeds", type=seeds_of, default=range(10), metavar="N or A:B")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--real", action="store_true", help="the logs of the XL330, in place of a simulation")
+    parser.add_argument("--wrong", action="store_true", help="these logs, by a servo that is wrong")
     given = parser.parse_args()
-    if given.real:
+    if given.wrong:
+        done = over_seeds("weigh-wrong", wrong, range(16), given.jobs)
+    elif given.real:
         done = over_seeds("weigh-xl330", real, range(16), given.jobs)
     else:
         done = over_seeds("weigh", trial, given.seeds, given.jobs)
     found = [one for trial_ in done for one in trial_["found"]]
-    ways = {how: [one for one in found if one["how"] == how] for how in ("alone", "calibrated")}
+    hows = WRONG if given.wrong else ("alone", "calibrated")
+    ways = {how: [one for one in found if one["how"] == how] for how in hows}
     rows = [row(how, some) for how, some in ways.items()]
-    for how, some in ways.items():
+    for how, some in () if given.wrong else ways.items():
         motions = {one["motion"] for one in some}
         rows += [row(f"{how}, {m}", [one for one in some if one["motion"] == m]) for m in sorted(motions)]
     columns = ("weighed", "claimed", "of these hold", "hold", "median error", "bias", "upper/lower")
-    title = "an XL330 under 0.49 kg" if given.real else f"{len(done)} servos of one type, weighed loads"
+    title = (
+        "an XL330 under 0.49 kg"
+        if given.real or given.wrong
+        else f"{len(done)} servos of one type, weighed loads"
+    )
     show(title, (*columns, "least squares errs", "sysid errs", "verdicts", "CPU"), rows)
 
 

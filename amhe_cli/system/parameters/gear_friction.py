@@ -42,7 +42,7 @@ OWN = {
 #: Targets that are numbers of both sides: k (tau_e - tau_m).
 BOTH = ("load_friction", "stribeck_load_friction")
 #: Time between two updates of what friction can hold [s]. A batch of simulations stops for each.
-UPDATE = 0.006
+UPDATE = 0.004
 #: What lies ahead differs from what is by at most this factor.
 AHEAD = 2.0
 #: Fields from which an engine computes it, and of which it keeps its own.
