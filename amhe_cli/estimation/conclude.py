@@ -52,8 +52,10 @@ from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
 
-#: Parts of a conclusion, for its progress, and linearisations of all clips that it needs at least.
-PARTS, RESERVE = 10, 3
+#: Parts of a conclusion, for its progress.
+PARTS = 10
+#: Linearisations of all clips that a conclusion needs at least.
+RESERVE = 3
 #: Steps that a settled search may still take with the noise that it has left.
 STEPS = 2
 
@@ -129,7 +131,7 @@ def conclude(search: Search, *, quick: bool = False) -> Identification:
         spreads=lines.spreads,
         held_out=held_out,
         iterations=tuple(
-            replace(one, theta=tuple(lines.of(np.array(one.theta)).tolist())) for one in finding.record
+            replace(entry, theta=tuple(lines.of(np.array(entry.theta)).tolist())) for entry in finding.record
         ),
         rollouts=sum(i.rollouts for i in finding.record),
         diverged=sum(i.diverged for i in finding.record),
@@ -171,9 +173,9 @@ def _evidence(
         z=lines.z,
         ledger=lines.ledger,
         active=lines.of(problem.active) > 0.0,
-        idle={name: problem.idle[one] for name, one in names.items() if one in problem.idle},
+        idle={name: problem.idle[unknown] for name, unknown in names.items() if unknown in problem.idle},
         misfit=misfit,
-        blamed={name: against[one] for name, one in names.items() if one in against},
+        blamed={name: against[unknown] for name, unknown in names.items() if unknown in against},
         profiles={i: drawn[k] for i, k in enumerate(firsts) if alone[i] and k in drawn},
         rival=rival and replace(rival, z=lines.of(rival.z), differs=lines.of(rival.differs) > 0.0),
         doubled_prior=np.where(alone, moves[firsts], np.nan),
@@ -244,13 +246,13 @@ def _missing(fit: FinalFit, watch: Watch) -> Missing | None:
     if not watch.allows("what the model lacks", problem.linearisation):
         return None
     # from the prior: the fitted values make up for what is missing, and hide it
-    found = explain(problem.system, problem.pool.parts, 0.0 * fit.z, problem.rng(9))
-    for row in found.rows[:1]:
+    explained = explain(problem.system, problem.pool.parts, 0.0 * fit.z, problem.rng(9))
+    for row in explained.rows[:1]:
         logger.warning(
             f"{row.place}: {row.text}: so the logs say, it explains {row.share:.0%} of the motion there that "
             "the model does not"
         )
-    return found
+    return explained
 
 
 def _report_budget(system: System, ledger: Ledger) -> None:
@@ -273,17 +275,17 @@ def _ledger(fit: FinalFit, rival: Rival | None, watch: Watch, quick: bool) -> tu
     Terms for which there is no time are left out, and named.
     """
     once, exact = fit.problem.linearisation, ()
-    found = [terms.noise(fit), terms.prior(fit), terms.repeats(fit), terms.search(fit), terms.declared(fit)]
+    doubts = [terms.noise(fit), terms.prior(fit), terms.repeats(fit), terms.search(fit), terms.declared(fit)]
     if watch.allows("covariance from wider samples", once):
-        found.append(terms.curvature(fit))
+        doubts.append(terms.curvature(fit))
     with_halves = watch.allows("comparison of the logs' halves", 0 if quick else (REFITS + TURNS) * once)
-    found.append(parts(fit, with_halves=with_halves, refitted=not quick))
-    report_drift(fit, found[-1])
+    doubts.append(parts(fit, with_halves=with_halves, refitted=not quick))
+    report_drift(fit, doubts[-1])
     if watch.allows("what rests on assumed values", once):
         term, exact = assumed(fit)
-        found.append(term)
-    found = terms.inherited(fit, found)
-    return Ledger((*found, rival.term(fit.z)) if rival else tuple(found)), exact
+        doubts.append(term)
+    doubts = terms.inherited(fit, doubts)
+    return Ledger((*doubts, rival.term(fit.z)) if rival else tuple(doubts)), exact
 
 
 def _profiles(fit: FinalFit, sd: FloatArray, watch: Watch) -> dict[int, tuple[FloatArray, FloatArray]]:

@@ -183,10 +183,10 @@ def _report_lag(system: System, log: Log) -> None:
     if not matched and not any(source.key.endswith(".effort") for source in system.inputs):
         return
     try:
-        found = velocity_lag(system, log)
+        lag = velocity_lag(system, log)
     except LogError:
         return  # too short for a motion
-    if found is not None and found[0] > max(_LATE, SURPRISE * found[1]):
+    if lag is not None and lag[0] > max(_LATE, SURPRISE * lag[1]):
         then = (
             "they are not used, since positions give the motion"
             if matched
@@ -195,7 +195,7 @@ def _report_lag(system: System, log: Log) -> None:
         )
         logger.log(
             NOTE if matched else logging.WARNING,
-            f"{log.source}: measured velocities are {1e3 * found[0]:.1f} ms behind the positions, and {then}",
+            f"{log.source}: measured velocities are {1e3 * lag[0]:.1f} ms behind the positions, and {then}",
         )
 
 

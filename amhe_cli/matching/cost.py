@@ -148,7 +148,7 @@ class MatchingCost:
             if len(self._alike) == 1:
                 return self._shown(values, self.clips.starts, first, self._wanted)
             own_first = None if first is None else first[:, clips]
-            own_wanted = [one.of(clips) for one in self._wanted]
+            own_wanted = [wanted.of(clips) for wanted in self._wanted]
             parts.append(self._shown(values, self.clips.starts.of(clips), own_first, own_wanted))
         return _in_order(parts, np.argsort(np.concatenate([clips for _, clips in self._alike])))
 
@@ -164,10 +164,10 @@ class MatchingCost:
         for log, clips in self._alike:
             values = values_on(log, system.edits.space, system.space, theta)
             starts = self.clips.starts.of(clips)
-            own = None if first is None else first[None, clips]
+            first_errors = None if first is None else first[None, clips]
             if (errors := state_errors(system, values, starts)) is not None:
-                own = errors if own is None else own + errors
-            qpos, qvel = starts.states(system.model, 1, own)
+                first_errors = errors if first_errors is None else first_errors + errors
+            qpos, qvel = starts.states(system.model, 1, first_errors)
             inputs = starts.inputs_under(system.edits.delays(values) / system.dt)
             every = np.repeat(values, len(clips), axis=0)
             rollouts = self.engine.rollout(every, qpos[0], qvel[0], inputs, starts.lengths)
@@ -200,10 +200,12 @@ class MatchingCost:
         """Whitened residuals of candidates z (p, d); see `predict` for `first`."""
         return self._residuals(self.predict(z, first))
 
-    def residuals_of(self, done: RolledOut) -> Residuals:
+    def residuals_of(self, rolled: RolledOut) -> Residuals:
         """Whitened residuals of one candidate whose rollouts on all of the clips are known."""
-        values = tuple(one.pick(done.rollouts, 1) for one in self._wanted)
-        return self._residuals(self._read(done.theta[None], Predicted(values, done.rollouts.completed[None])))
+        values = tuple(wanted.pick(rolled.rollouts, 1) for wanted in self._wanted)
+        return self._residuals(
+            self._read(rolled.theta[None], Predicted(values, rolled.rollouts.completed[None]))
+        )
 
     def _residuals(self, predicted: Predicted) -> Residuals:
         pairs = zip(self.clips.observed, predicted.values, strict=True)
@@ -234,7 +236,7 @@ class MatchingCost:
     def as_declared(self, residuals: Residuals) -> FloatArray:
         """Costs (p,) of residuals in units of the declared noise, whatever the data have shown."""
         factors = (self.noise_scale.get(observed.channel.key, 1.0) for observed in self.clips.observed)
-        values = tuple(factor * own for factor, own in zip(factors, residuals.values, strict=True))
+        values = tuple(factor * residual for factor, residual in zip(factors, residuals.values, strict=True))
         return trimmed_mean(self.clip_costs(Residuals(values, residuals.completed)), self.settings.trim)
 
     def errors(self, residuals: Residuals, quantity: str) -> FloatArray:
@@ -267,7 +269,7 @@ def _in_order(parts: Sequence[Predicted], order: IntArray) -> Predicted:
     """Predictions of some clips each as one of all clips, in their order."""
     columns = zip(*(part.values for part in parts), strict=True)
     beside = map(side_by_side, columns)
-    values = tuple(namespace_of(one[0]).concatenate(one, axis=1)[:, order] for one in beside)
+    values = tuple(namespace_of(arrays[0]).concatenate(arrays, axis=1)[:, order] for arrays in beside)
     return Predicted(values, np.concatenate([part.completed for part in parts], axis=1)[:, order])
 
 

@@ -94,10 +94,10 @@ def state_errors(system: System, theta: FloatArray, starts: Starts) -> FloatArra
         delta[..., tangent_of(system, channel)] = difference
     if widened:
         half = system.edits.written(theta)["tendon_range"][:, :, 1]
-        for gap, own, other in unmeasured(system, widened):
-            away = starts.qpos[:, model.jnt_qposadr[own]] - starts.qpos[:, model.jnt_qposadr[other]]
+        for gap, beside, measured in unmeasured(system, widened):
+            away = starts.qpos[:, model.jnt_qposadr[beside]] - starts.qpos[:, model.jnt_qposadr[measured]]
             wider = half[:, gap.tendon] - model.tendon_range[gap.tendon, 1]
-            delta[..., model.jnt_dofadr[own]] = wider[:, None] * np.sign(away)
+            delta[..., model.jnt_dofadr[beside]] = wider[:, None] * np.sign(away)
     return delta[..., starts.first_index] / starts.first_sd
 
 

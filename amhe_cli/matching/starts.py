@@ -66,12 +66,12 @@ def first_states(
 
 def _positions(channel: Channel, windows: Sequence[Window], recorded: FloatArray, reach: float) -> FloatArray:
     """Position or orientation of one channel at the windows' starts, shape (c, columns)."""
-    found = recorded.copy()
+    positions = recorded.copy()
     for i, window in enumerate(windows if reach else ()):
         if (fitted := _parabola(window, channel.key, reach)) is not None:
             turned = channel.kind == "rotation"
-            found[i] = rotations.multiply(recorded[i], rotations.exp(fitted[0])) if turned else fitted[0]
-    return found
+            positions[i] = rotations.multiply(recorded[i], rotations.exp(fitted[0])) if turned else fitted[0]
+    return positions
 
 
 def _velocities(channel: Channel, windows: Sequence[Window], recorded: FloatArray) -> FloatArray:
@@ -80,29 +80,29 @@ def _velocities(channel: Channel, windows: Sequence[Window], recorded: FloatArra
     It is the slope of the positions where the channel demands that: a velocity that was filtered on the
     robot lags the motion.
     """
-    found = recorded.copy()
+    velocities = recorded.copy()
     for i, window in enumerate(windows if channel.slope else ()):
         if (fitted := _parabola(window, channel.integral, channel.slope)) is not None:
-            found[i] = fitted[1]
-    return found
+            velocities[i] = fitted[1]
+    return velocities
 
 
 def _recorded(channel: Channel, windows: Sequence[Window]) -> FloatArray:
     """What was recorded of one channel at the windows' starts, shape (c, columns)."""
-    found = np.empty((len(windows), len(channel.columns)))
-    own: dict[int, list[int]] = {}
+    values = np.empty((len(windows), len(channel.columns)))
+    by_log: dict[int, list[int]] = {}
     for i, window in enumerate(windows):
-        own.setdefault(id(window.log), []).append(i)
-    for rows in own.values():
+        by_log.setdefault(id(window.log), []).append(i)
+    for rows in by_log.values():
         log, starts = windows[rows[0]].log, np.array([windows[i].start for i in rows])
         series = log[channel.key]
-        if not (known := series.valid[starts]).all():
+        if not (valid := series.valid[starts]).all():
             raise LogError(
-                f"{log.source}: {channel.key} was not measured at {starts[np.argmin(known)] * log.dt:.3f} s, "
+                f"{log.source}: {channel.key} was not measured at {starts[np.argmin(valid)] * log.dt:.3f} s, "
                 "where a window starts"
             )
-        found[rows] = series.values[starts]
-    return found
+        values[rows] = series.values[starts]
+    return values
 
 
 def _parabola(window: Window, key: str, reach: float) -> FloatArray | None:

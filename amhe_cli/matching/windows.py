@@ -42,7 +42,7 @@ class Observed:
     def of(self, clips: IntArray) -> Observed:
         """What it measured on some of the clips."""
         noise = self.noise[clips] if isinstance(self.noise, np.ndarray) else self.noise
-        rows, measured, mask = (one[clips] for one in (self.rows, self.measured, self.mask))
+        rows, measured, mask = (array[clips] for array in (self.rows, self.measured, self.mask))
         return replace(self, rows=rows, measured=measured, mask=mask, noise=noise)
 
     @property
@@ -141,20 +141,20 @@ def _following(
     along, places = along_of(system, windows)
     count, most = along.qvel.shape[:2]
     rows = np.zeros((count, most), dtype=np.int64)
-    for i, (window, (path, own)) in enumerate(zip(windows, places, strict=True)):
-        rows[i, : own.size] = path.rows[own] - window.start - 1
-    found = []
+    for i, (window, (path, instants)) in enumerate(zip(windows, places, strict=True)):
+        rows[i, : instants.size] = path.rows[instants] - window.start - 1
+    observed = []
     for channel in compared:
         names = windows[0].log[channel.key].columns
         for part in channel.parts(names):
             values, sd = np.zeros((count, most, 1)), np.ones((count, most, 1))
             mask = np.zeros((count, most), dtype=bool)
-            for i, (window, (path, own)) in enumerate(zip(windows, places, strict=True)):
-                span = i, slice(0, own.size)
-                values[(*span, 0)], mask[span], sd[(*span, 0)] = measured_effort(part, window, path, own)
+            for i, (window, (path, instants)) in enumerate(zip(windows, places, strict=True)):
+                span = i, slice(0, instants.size)
+                values[(*span, 0)], mask[span], sd[(*span, 0)] = measured_effort(part, window, path, instants)
             scale = noise_scale.get(part.key, 1.0)
-            found.append(Observed(part, rows, 1, values, mask, scale * sd))
-    return replace(starts, along=along), found
+            observed.append(Observed(part, rows, 1, values, mask, scale * sd))
+    return replace(starts, along=along), observed
 
 
 def _history(system: System) -> int:
@@ -199,19 +199,19 @@ def _observed(channel: Channel, windows: Sequence[Window], scale: float, memory:
     Samples that remember more than the window are left out, and so are differentiated ones: they are no
     second measurement.
     """
-    found = []
+    kept = []
     for window in windows:
         series = window.log[channel.key]
         inside = slice(window.start + 1, window.stop + 1)
         real = (series.sampled & series.valid)[inside][memory - 1 :]
-        found.append(memory - 1 + np.flatnonzero(real & (not series.derived)))
-    samples = max((f.size for f in found), default=0)
+        kept.append(memory - 1 + np.flatnonzero(real & (not series.derived)))
+    samples = max((f.size for f in kept), default=0)
     rows = np.zeros((len(windows), samples), dtype=np.int64)
     mask = np.zeros((len(windows), samples), dtype=bool)
     measured = np.zeros((len(windows), samples, len(channel.columns)))
     if channel.kind == "rotation":
         measured[..., 0] = 1.0
-    for i, (window, steps) in enumerate(zip(windows, found, strict=True)):
+    for i, (window, steps) in enumerate(zip(windows, kept, strict=True)):
         rows[i, : steps.size], mask[i, : steps.size] = steps, True
         measured[i, : steps.size] = window.log[channel.key].values[window.start + 1 + steps]
     return Observed(channel, rows, memory, measured, mask, scale * (channel.noise or 1.0))

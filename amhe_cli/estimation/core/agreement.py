@@ -74,12 +74,12 @@ def beyond_chance(difference: FloatArray, covariance: FloatArray, comparisons: i
         return kept
     correlation = covariance[np.ix_(felt, felt)] / np.outer(sd[felt], sd[felt])
     values, vectors = np.linalg.eigh(correlation)
-    known = values > _SINGULAR
-    roots = np.sqrt(np.where(known, values, 1.0))
-    white = (vectors * (known / roots)) @ vectors.T @ (difference[felt] / sd[felt])
-    limit = among(comparisons * int(known.sum()), SURPRISE)
+    regular = values > _SINGULAR
+    roots = np.sqrt(np.where(regular, values, 1.0))
+    white = (vectors * (regular / roots)) @ vectors.T @ (difference[felt] / sd[felt])
+    limit = among(comparisons * int(regular.sum()), SURPRISE)
     excess = np.sign(white) * np.sqrt(np.maximum(white**2 - limit**2, 0.0))
-    kept[felt] = sd[felt] * ((vectors * (known * roots)) @ vectors.T @ excess)
+    kept[felt] = sd[felt] * ((vectors * (regular * roots)) @ vectors.T @ excess)
     return kept
 
 
@@ -136,9 +136,9 @@ def agreement(means: FloatArray, covariances: FloatArray, prior: FloatArray) -> 
     covariance = np.block(blocks)
     scale = np.sqrt(np.concatenate([np.diag(first + covariances[i]) for i in rest]))
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    known = values > _ROUNDING
-    along = vectors[:, known].T @ (np.concatenate([means[i] - means[0] for i in rest]) / scale)
-    chi_square, freedom = float((along**2 / values[known]).sum()), int(known.sum())
+    regular = values > _ROUNDING
+    along = vectors[:, regular].T @ (np.concatenate([means[i] - means[0] for i in rest]) / scale)
+    chi_square, freedom = float((along**2 / values[regular]).sum()), int(regular.sum())
     return Agreement(chi_square, freedom, exceeded(chi_square, freedom), distances)
 
 
@@ -159,16 +159,16 @@ def pooled(
         bounds: Lower and upper bounds of z, shape (d,) each.
     """
     weights = np.linalg.inv(covariances)
-    own = covariances - systematic
+    of_noise = covariances - systematic
     # what each belief has from the prior, as far as its own part and not the model's decides it
-    seen = (weights @ (own @ prior @ own) @ weights).sum(axis=0)
+    seen = (weights @ (of_noise @ prior @ of_noise) @ weights).sum(axis=0)
     values, vectors = np.linalg.eigh(weights.sum(axis=0) - seen + prior)
     # a belief may be wider than its prior, where its run was not explained: then the prior is what remains
     inverse = (vectors / np.maximum(values, np.linalg.eigvalsh(prior).min())) @ vectors.T
     mean = inverse @ (np.einsum("kij,kj->i", weights, means) - (seen - prior) @ prior_mean)
-    independent = inverse @ positive((weights @ own @ weights).sum(axis=0) - seen + prior) @ inverse
+    independent = inverse @ positive((weights @ of_noise @ weights).sum(axis=0) - seen + prior) @ inverse
     # one error of the model moves each belief by the root of its part
-    moved = inverse @ (weights @ np.array([root(one) for one in systematic])).sum(axis=0)
+    moved = inverse @ (weights @ np.array([root(part) for part in systematic])).sum(axis=0)
     shared = moved @ moved.T
     whole = independent + shared
     return mean_within(mean, whole, bounds), whole, shared
@@ -184,10 +184,10 @@ def exceeded(chi_square: float, freedom: int) -> float:
 
 
 def pairs(
-    names: Sequence[str], found: Agreement, columns: Sequence[str]
+    names: Sequence[str], compared: Agreement, columns: Sequence[str]
 ) -> list[tuple[str, str, str, float]]:
     """For each unknown its name, the two beliefs that differ most in it, and by how many sd; worst first."""
-    rows = [(column, *found.farthest(i)) for i, column in enumerate(columns)]
+    rows = [(column, *compared.farthest(i)) for i, column in enumerate(columns)]
     return sorted(
         ((column, names[i], names[j], size) for column, i, j, size in rows), key=lambda row: -row[3]
     )

@@ -141,21 +141,21 @@ def information(
     def fitted(residual: FloatArray, times: tuple[float, ...]) -> Information:
         weight = weights(cost, residual, times) / noise * counted
         arrays = slopes.residual, gz, gx, weight, mean
-        return _joined([marginalised(*(one[clips] for one in arrays)) for clips in some])
+        return _joined([marginalised(*(array[clips] for array in arrays)) for clips in some])
 
     # weights depend on the fitted residuals: a first fit gives them
     first = fitted(slopes.residual, (1.0,) * len(cost.clips.observed))
     times = channel_times(cost, first.residual, slopes.completed)
     times = tuple(1.0 + repeats * (time - 1.0) for time in times)
-    found = fitted(first.residual, times)
+    told = fitted(first.residual, times)
     if straight:  # it shapes samples, and is no posterior
-        return found
-    bent = found.weight * _bent(cost, first.residual)
+        return told
+    bent = told.weight * _bent(cost, first.residual)
     each = _of_residuals(cost, times)
-    arrays = gz, gx, bent, found.weight * found.residual * np.sqrt(each)
-    both = [_sandwich(*(one[clips] for one in arrays)) for clips in some]
+    arrays = gz, gx, bent, told.weight * told.residual * np.sqrt(each)
+    both = [_sandwich(*(array[clips] for array in arrays)) for clips in some]
     curvature, scatter = map(np.concatenate, zip(*both, strict=True))
-    return replace(found, curvature=curvature, scatter=scatter)
+    return replace(told, curvature=curvature, scatter=scatter)
 
 
 def _sandwich(
@@ -264,10 +264,10 @@ def channel_times(cost: MatchingCost, residual: FloatArray, completed: BoolArray
     return tuple(times)
 
 
-def clip_weights(slopes: Linearisation, found: Information) -> FloatArray:
+def clip_weights(slopes: Linearisation, told: Information) -> FloatArray:
     """1 for a clip that counts, 0 for one that diverged or is among the worst (`cost.trim`), shape (c,)."""
     weight = slopes.completed.astype(float)
-    misfit = (found.residual**2).sum(axis=1) / slopes.cost.clips.counts
+    misfit = (told.residual**2).sum(axis=1) / slopes.cost.clips.counts
     drop = int(np.floor(slopes.cost.settings.trim * len(misfit)))
     if drop:
         weight[np.argsort(np.where(slopes.completed, misfit, np.inf))[-drop:]] = 0.0
@@ -302,11 +302,11 @@ def noise_scale(squares: Mapping[str, float], before: Mapping[str, float]) -> di
 
 
 def fitted_noise_scale(
-    slopes: Linearisation, found: Information, before: Mapping[str, float]
+    slopes: Linearisation, told: Information, before: Mapping[str, float]
 ) -> dict[str, float]:
     """Noise scale of each channel after the first states were fitted; see `noise_scale` for `before`."""
-    keep = clip_weights(slopes, found) > 0.0
-    return remaining_noise_scale(slopes.cost, found.residual, found.nuisance, keep, before)
+    keep = clip_weights(slopes, told) > 0.0
+    return remaining_noise_scale(slopes.cost, told.residual, told.nuisance, keep, before)
 
 
 def remaining_noise_scale(

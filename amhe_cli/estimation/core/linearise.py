@@ -50,9 +50,10 @@ WIDEST = 0.5
 
 #: Steps to one side alone, in sd of the samples: what bends in them is less by this factor.
 SHORT = 0.01
-#: Clips whose arrays have more bytes than this take their turns, so that memory does not grow with the logs;
-#: on a device, where calls should be large, more than this share of its memory.
-TURN_BYTES, TURN_SHARE = 32 * 2**20, 1 / 32
+#: Clips whose arrays have more bytes than this take their turns, so that memory does not grow with the logs.
+TURN_BYTES = 32 * 2**20
+#: On a device, where calls should be large, they may take this share of its memory.
+TURN_SHARE = 1 / 32
 
 
 def sampling_width(space: ParameterSpace, share: float) -> FloatArray:
@@ -153,22 +154,22 @@ class Reach:
             parts.append(np.tile(rows, observed.mask.shape[1]))
         return np.concatenate(parts, axis=1)
 
-    def alone(self, row: int, cost: MatchingCost, found: Residuals, here: Sequence[AnyArray]) -> Residuals:
+    def alone(self, row: int, cost: MatchingCost, together: Residuals, here: Sequence[AnyArray]) -> Residuals:
         """Residuals of candidates in which other parameters have moved, too, as of one of them alone.
 
         Args:
             row: The parameter; the others move other measurements.
             cost: The cost.
-            found: Residuals of p candidates.
+            together: Residuals of p candidates.
             here: Those of no move, one array for each channel, shape (1, c, samples, k).
         """
         columns = [self._moving(o.channel.key, o.width)[row] for o in cost.clips.observed]
-        pairs = zip(found.values, here, strict=True)
+        pairs = zip(together.values, here, strict=True)
         values = tuple(
-            namespace_of(moved).where(namespace_of(moved).asarray(own), moved, still)
-            for own, (moved, still) in zip(columns, map(side_by_side, pairs), strict=True)
+            namespace_of(moved).where(namespace_of(moved).asarray(moves), moved, still)
+            for moves, (moved, still) in zip(columns, map(side_by_side, pairs), strict=True)
         )
-        return Residuals(values, found.completed)
+        return Residuals(values, together.completed)
 
     @property
     def alike(self) -> list[IntArray]:
@@ -212,11 +213,11 @@ def colours(moves: BoolArray) -> IntArray:
     """
     kinds = moves[:, [columns[0] for columns in alike(moves.T)]].astype(int)
     clash = kinds @ kinds.T > 0
-    found = np.full(len(moves), -1)
+    colour = np.full(len(moves), -1)
     for row in np.argsort(-kinds.sum(axis=1), kind="stable"):
-        taken = set(found[clash[row]])
-        found[row] = next(number for number in range(len(moves)) if number not in taken)
-    return found
+        taken = set(colour[clash[row]])
+        colour[row] = next(number for number in range(len(moves)) if number not in taken)
+    return colour
 
 
 def moved_along(moves: BoolArray, shape: FloatArray) -> BoolArray:
@@ -344,9 +345,9 @@ def linearise(
     parts = turns(len(first.mean), 8 * len(candidates) * residuals, most)
     if len(parts) == 1:
         return of_clips(cost, first)
-    done = ((clips, of_clips(cost.of(clips), first.of(clips))) for clips in parts)
+    pieces = ((clips, of_clips(cost.of(clips), first.of(clips))) for clips in parts)
     # where nothing touches, a step is none the worse for slopes of seven digits
-    return _joined(cost, first, done, np.float64 if moves is None else np.float32)
+    return _joined(cost, first, pieces, np.float64 if moves is None else np.float32)
 
 
 def turns(count: int, each: int, most: int = 0) -> list[IntArray]:
@@ -410,10 +411,10 @@ def _parity(residuals: Residuals, half: int) -> tuple[AnyArray, AnyArray, FloatA
         Half the difference within each pair, shape (h, c, R), and its mean less the centre, likewise, of no
         pair where the centre is the other side of all; 1 for the pairs that completed, else 0, shape (c, h).
     """
-    done, values = residuals.completed, residuals.stacked
+    completed, values = residuals.completed, residuals.stacked
     other = slice(half, -1) if len(values) > half + 1 else slice(half, None)
     plus, minus, centre = values[:half], values[other], values[-1]
-    pairs = (done[:half] & done[other] & done[-1]).T.astype(float)
+    pairs = (completed[:half] & completed[other] & completed[-1]).T.astype(float)
     even = (0.5 * (plus + minus) - centre)[: len(values) - 1 - half]
     return 0.5 * (plus - minus), even, pairs
 

@@ -141,12 +141,12 @@ def _whole(state: SearchState | CmaState, problem: Problem) -> bool:
         "trail": lambda value: _is_array(value, len(value), d) or value.shape == (0, 0),
         "scale": lambda value: _is_array(np.array([*value.values()]), len(value))
         and min(value.values(), default=1.0) > 0.0,
-        "record": lambda value: all(_is_entry(one, d) for one in value),
+        "record": lambda value: all(_is_entry(entry, d) for entry in value),
         "first": lambda value: value is None
         or (_is_array(value.mean, c, nx) and _is_array(value.shape, c, nx, nx)),
         "memory": lambda value: value == {} or _is_memory(value, problem),
     }  # fmt: skip
-    sound = all(checks[one.name](getattr(state, one.name)) for one in fields(state))
+    sound = all(checks[entry.name](getattr(state, entry.name)) for entry in fields(state))
     return sound and (bool(state.record) or not state.done)
 
 
@@ -159,16 +159,16 @@ def _is_count(value: Any) -> bool:
     return type(value) is int and 0 <= value < 2**53
 
 
-def _is_entry(one: Iteration, d: int) -> bool:
-    sound = all(map(_is_count, (one.number, one.rollouts, one.diverged)))
-    sound = sound and isinstance(one.method, str) and isinstance(one.stage, str)
-    sound = sound and isinstance(one.cost, float) and one.cost > -np.inf  # it may be infinite
-    return sound and _is_array(np.array((*one.theta, one.sigma)), d + 1)
+def _is_entry(entry: Iteration, d: int) -> bool:
+    sound = all(map(_is_count, (entry.number, entry.rollouts, entry.diverged)))
+    sound = sound and isinstance(entry.method, str) and isinstance(entry.stage, str)
+    sound = sound and isinstance(entry.cost, float) and entry.cost > -np.inf  # it may be infinite
+    return sound and _is_array(np.array((*entry.theta, entry.sigma)), d + 1)
 
 
 def _is_memory(value: dict[str, Any], problem: Problem) -> bool:
     *like, (last, history) = memory_of(restored(problem, start(problem), problem.rng(1, 0, 0))).items()
-    sound = len(value) == len(MEMORY) and all(_is_array(value[name], *one.shape) for name, one in like)
+    sound = len(value) == len(MEMORY) and all(_is_array(value[name], *array.shape) for name, array in like)
     return sound and value[last].shape == history.shape and value[last].dtype == float  # any values
 
 

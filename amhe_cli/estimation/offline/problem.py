@@ -42,13 +42,17 @@ FEWEST = 8
 ROUGH = 0.02
 #: Clips of each kind of log that show what the errors of a first state move.
 FEW = 2
-#: Times as many clips as can be fitted from which those are chosen that tell most, and of which at most.
-WORTH, LOOKED_AT = 2, 3
+#: From this many times as many clips as can be fitted, those are chosen that tell most.
+WORTH = 2
+#: At most this many times as many clips are looked at for that.
+LOOKED_AT = 3
 #: Smallest sampling sd of a first state along any direction where the model is rough, in its recorded sd:
 #: slopes from narrower samples are jitter, and would count as knowledge of the first state.
 NARROWEST = 0.7
-#: Instants of the rollouts at which a missing contact is looked for, and the gap [m] that is none.
-_LOOKS, _TOUCH = 400, 0.005
+#: Instants of the rollouts at which a missing contact is looked for.
+_LOOKS = 400
+#: A gap below this is a touch [m].
+_TOUCH = 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,15 +120,15 @@ class Problem:
     def _information(self, clips: Sequence[Window]) -> FloatArray:
         """Information (c, d, d) of clips at the prior's mean, in turns that need no more memory than one."""
         z = np.zeros(len(self.system.space))
-        shape, found = diagonal(WIDEST, self.active), []
+        shape, matrices = diagonal(WIDEST, self.active), []
         for rows in cut(len(clips), -(-len(clips) // self.settings.clips.count)):
             cost = self.cost([clips[i] for i in rows])
             first = self.recorded(cost)
             slopes = self.linearised(cost, z, first, shape, self.rng(7), straight=True)
             gz, gx = np.split(slopes.gain, [z.size], axis=1)
             weight = np.repeat(slopes.completed.astype(np.float64)[:, None], gz.shape[2], axis=1)
-            found.append(marginalised(slopes.residual, gz, gx, weight, first.mean).matrix)
-        return np.concatenate(found)
+            matrices.append(marginalised(slopes.residual, gz, gx, weight, first.mean).matrix)
+        return np.concatenate(matrices)
 
     def drawn(self, rng: np.random.Generator, count: int) -> Sequence[Window]:
         """Random clips; those side by side where hardly any place of the logs holds one."""
@@ -184,11 +188,11 @@ class Problem:
         fitted = self.settings.identify.first_state != "never"
         return FirstStates.recorded(len(cost.clips.windows), cost.nx * fitted)
 
-    def first_states(self, found: Information, dz: FloatArray) -> FirstStates:
+    def first_states(self, told: Information, dz: FloatArray) -> FirstStates:
         """What the clips of an information know of their first states after a step of z (d,)."""
-        reach = self.reach if found.nuisance.shape[1] else None  # recorded first states have no errors
+        reach = self.reach if told.nuisance.shape[1] else None  # recorded first states have no errors
         alike = None if reach is None else reach.first_alike
-        return found.first_states(dz, NARROWEST if self.rough else self.finest, alike)
+        return told.first_states(dz, NARROWEST if self.rough else self.finest, alike)
 
     @property
     def finest(self) -> float:
@@ -235,7 +239,7 @@ class Problem:
         if self.whole is not None:
             return self.whole.active
         moved, diverged = self._moved  # a step that diverges had an effect
-        return np.any([one.any(axis=1) for one in moved.values()], axis=0) | diverged
+        return np.any([columns.any(axis=1) for columns in moved.values()], axis=0) | diverged
 
     @cached_property
     def reach(self) -> Reach | None:
@@ -250,9 +254,9 @@ class Problem:
         errors = np.concatenate((np.zeros((1, cost.nx)), np.eye(cost.nx)))
         first = np.repeat(errors[:, None], len(cost.clips.windows), axis=1)
         residuals = cost.residuals(z, first)
-        found = Reach(moved, _moved_columns(cost, residuals))
+        reach = Reach(moved, _moved_columns(cost, residuals))
         unknowns = len(self.system.space) + cost.nx
-        return found if residuals.completed.all() and found.unknowns(True) < unknowns else None
+        return reach if residuals.completed.all() and reach.unknowns(True) < unknowns else None
 
     @property
     def alike(self) -> list[IntArray] | None:
@@ -338,10 +342,10 @@ class Problem:
     def _states(self, cost: MatchingCost, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Positions (n, nq) and inputs (n, nu) at every step of the clips' rollouts under z (d,)."""
         qpos, inputs = [], []
-        for done in cost.rolled_out(z, None):
-            inside = np.arange(done.inputs.shape[1]) < done.lengths[:, None]
-            qpos.append(done.rollouts.qpos[inside])
-            inputs.append(done.inputs[inside])
+        for rolled in cost.rolled_out(z, None):
+            inside = np.arange(rolled.inputs.shape[1]) < rolled.lengths[:, None]
+            qpos.append(rolled.rollouts.qpos[inside])
+            inputs.append(rolled.inputs[inside])
         return np.concatenate(qpos), np.concatenate(inputs)
 
 
@@ -356,8 +360,8 @@ def by_leverage(information: FloatArray, most: int) -> IntArray:
         information: Information of each clip on z, whose prior is N(0, I), shape (c, d, d).
         most: The number.
     """
-    known = sealed(np.linalg.inv(information.sum(axis=0) + np.eye(information.shape[1])))
-    total = np.cumsum(np.einsum("cij,ji->c", information, known))
+    covariance = sealed(np.linalg.inv(information.sum(axis=0) + np.eye(information.shape[1])))
+    total = np.cumsum(np.einsum("cij,ji->c", information, covariance))
     return np.unique(np.searchsorted(total, (np.arange(most) + 0.5) / most * total[-1]))
 
 

@@ -47,13 +47,18 @@ SETTLED = 0.3
 STRAIGHT = 1.0
 #: A step may leave the middle of the samples by this many of their sd.
 REACH = 3.0
-#: First iterations where nothing touches, and the clips that are enough to get near.
-ROUGHLY, FEW = 2, 4
+#: First iterations that only have to get near, where nothing touches.
+ROUGHLY = 2
+#: Clips that are enough for them.
+FEW = 4
 #: Multiples of the Gauss-Newton step that are tried, which on rough costs is often too timid; 0 stays.
 LINE = np.array([4.0, 2.0, 1.0, 0.5, 0.2, 0.0])
-#: Where nothing touches, the whole step is tried first, and the others only where the cost falls by another
-#: amount than its slopes predict, by more than this share of it.
-WHOLE, OTHERS, AS_PREDICTED = np.array([1.0, 0.0]), np.array([4.0, 2.0, 0.5, 0.2]), 0.25
+#: Multiples that are tried first where nothing touches.
+WHOLE = np.array([1.0, 0.0])
+#: Multiples that are tried there, too, where the cost falls otherwise than its slopes predict.
+OTHERS = np.array([4.0, 2.0, 0.5, 0.2])
+#: Share of the predicted fall by which the true one may differ from it.
+AS_PREDICTED = 0.25
 #: Before that the step is corrected by the same slopes, at most so often: in a valley that bends it goes on
 #: along the valley (the chord method; one rollout a clip).
 CORRECTED = 3
@@ -143,8 +148,8 @@ def advance(problem: Problem, state: SearchState) -> SearchState:
     fitted = setting.first_state == "always" or (setting.first_state == "polish" and not exploring)
     first = state.first or FirstStates.recorded(len(windows), cost.nx * fitted)
     slopes = problem.linearised(cost, state.z, first, state.shape, rng, straight=state.straight)
-    found = information(slopes)
-    taken = gauss_newton(problem, state, slopes, found)
+    told = information(slopes)
+    taken = gauss_newton(problem, state, slopes, told)
     if np.isinf(taken.cost) and state.record and np.isinf(state.record[-1].cost):
         raise EstimationError(
             "simulations of these clips diverge: check the logs' units and the order of their joints "
@@ -173,9 +178,9 @@ def advance(problem: Problem, state: SearchState) -> SearchState:
         scale=taken.scale,
         record=(*state.record, _entry(problem, state, taken, slopes)),
         # these clips are the same next time; random ones, and few, are not
-        first=None if exploring or few else problem.first_states(found, z - state.z),
+        first=None if exploring or few else problem.first_states(told, z - state.z),
         straight=not (problem.touches or taken.far)
-        and float(slopes.bend.mean()) < STRAIGHT * float((found.residual**2).mean()),
+        and float(slopes.bend.mean()) < STRAIGHT * float((told.residual**2).mean()),
     )
 
 
@@ -201,21 +206,21 @@ class LineStep:
     scale: Mapping[str, float]
 
 
-def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, found: Information) -> LineStep:
+def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, told: Information) -> LineStep:
     """Step towards the minimum of the linearised cost plus prior; the true cost decides how far."""
     cost, prior = slopes.cost, problem.system.space.prior_precision
-    weight = clip_weights(slopes, found) * problem.coverage(cost.clips.windows)
-    matrix, score = found.summed(weight)
+    weight = clip_weights(slopes, told) * problem.coverage(cost.clips.windows)
+    matrix, score = told.summed(weight)
     whole, hessian = gauss_newton_step(matrix, score, prior, state.z)
     step = step_within(state.z, whole, hessian, problem.system.space) * problem.active
     # slopes of a smooth cost are good beyond the samples: there, the true cost alone decides how far
     width = state.shape if problem.touches else diagonal(WIDEST, problem.active)
     reach = np.abs(coordinates(width, step[None])).max() / REACH
-    times = channel_times(cost, found.residual, slopes.completed)
+    times = channel_times(cost, told.residual, slopes.completed)
 
     def along(line: FloatArray, steps: FloatArray) -> _Tried:
         z = problem.system.space.clip(state.z + steps / max(1.0, reach))
-        first = found.first(z - state.z)
+        first = told.first(z - state.z)
         residuals = cost.residuals(z, first if first.shape[2] else None)
         values = objective(cost, residuals, first, times, weight)
         return _Tried(line, z, first, residuals, values + quadratic_prior(z, np.zeros_like(state.z), prior))
@@ -228,28 +233,28 @@ def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, fo
         for _ in range(CORRECTED * (reach <= 1.0)):  # a valley that bends is left by a straight step
             if not np.isfinite(tried[-1].values[0]) or _as_predicted(stay - tried[-1].values[0], falls):
                 break
-            at, score = tried[-1].z[0], _score(slopes, found, weight, tried[-1])
+            at, score = tried[-1].z[0], _score(slopes, told, weight, tried[-1])
             more, _ = gauss_newton_step(matrix, score, prior, at)
             more = step_within(at, more, hessian, problem.system.space) * problem.active
             tried.append(along(WHOLE[:1], (at + more - state.z)[None]))
-    if not problem.touches and not any(_as_predicted(stay - one.values[0], falls) for one in tried):
+    if not problem.touches and not any(_as_predicted(stay - trial.values[0], falls) for trial in tried):
         tried.append(along(OTHERS, OTHERS[:, None] * step))
-        if min(one.values.min() for one in tried) == stay:
+        if min(trial.values.min() for trial in tried) == stay:
             tried.append(along(1.0 / DAMPED, _damped(hessian, whole, problem.active)))
-    one = min(tried, key=lambda one: one.values.min())
-    best = int(np.argmax(np.isfinite(one.values)) if blind else np.argmin(one.values))
-    moved = one.z[best] - state.z if problem.touches else step
+    trial = min(tried, key=lambda trial: trial.values.min())
+    best = int(np.argmax(np.isfinite(trial.values)) if blind else np.argmin(trial.values))
+    moved = trial.z[best] - state.z if problem.touches else step
     length = float(np.sqrt(moved @ hessian @ moved))
-    if problem.touches or not np.isfinite(one.values[best]):
-        scale = fitted_noise_scale(slopes, found, state.scale)
+    if problem.touches or not np.isfinite(trial.values[best]):
+        scale = fitted_noise_scale(slopes, told, state.scale)
     else:  # nothing jitters, so that one rollout shows the misfit that is left after the step
-        left = to_host(one.residuals.stacked[best])
-        scale = remaining_noise_scale(cost, left, one.first[best], weight > 0.0, state.scale)
+        left = to_host(trial.residuals.stacked[best])
+        scale = remaining_noise_scale(cost, left, trial.first[best], weight > 0.0, state.scale)
     return LineStep(
-        z=one.z[best],
+        z=trial.z[best],
         moved=length,
-        far=bool(reach > 1.0) or (one.line[best] == 0.0 and length > SETTLED),
-        cost=float(cost.as_declared(one.residuals)[best]),
+        far=bool(reach > 1.0) or (trial.line[best] == 0.0 and length > SETTLED),
+        cost=float(cost.as_declared(trial.residuals)[best]),
         rollouts=sum(each.residuals.completed.size for each in tried),
         diverged=sum(int((~each.residuals.completed).sum()) for each in tried),
         scale=scale,
@@ -267,12 +272,12 @@ class _Tried:
     values: FloatArray
 
 
-def _score(slopes: Linearisation, found: Information, weight: FloatArray, one: _Tried) -> FloatArray:
+def _score(slopes: Linearisation, told: Information, weight: FloatArray, trial: _Tried) -> FloatArray:
     """Gradient (d,) of half the data's cost where the first of some steps led, by the slopes from before."""
-    gz, gx = np.split(slopes.gain, [one.z.shape[1]], axis=1)
-    pull = weight[:, None, None] * (found.weight * to_host(one.residuals.stacked[0]))[..., None]
-    of_first = (gx @ pull)[..., 0] + weight[:, None] * one.first[0]
-    moved: FloatArray = np.einsum("cxd,cx->d", found.nuisance_gain, of_first)
+    gz, gx = np.split(slopes.gain, [trial.z.shape[1]], axis=1)
+    pull = weight[:, None, None] * (told.weight * to_host(trial.residuals.stacked[0]))[..., None]
+    of_first = (gx @ pull)[..., 0] + weight[:, None] * trial.first[0]
+    moved: FloatArray = np.einsum("cxd,cx->d", told.nuisance_gain, of_first)
     return moved + (gz @ pull)[..., 0].sum(axis=0)
 
 
@@ -297,8 +302,8 @@ def _reshaped(
     floor = spread_floor(problem)
     if taken.far:
         return bounded(4.0 * state.shape @ state.shape.T, floor, problem.active, problem.alike)
-    known = straight.matrix.sum(axis=0) * problem.coverage(windows)
-    covariance = np.linalg.inv(known + problem.system.space.prior_precision)
+    matrix = straight.matrix.sum(axis=0) * problem.coverage(windows)
+    covariance = np.linalg.inv(matrix + problem.system.space.prior_precision)
     before = state.shape if problem.touches else np.zeros_like(state.shape)
     return adapted(covariance, before, floor, problem.active, problem.alike)
 
@@ -310,14 +315,14 @@ def _next_stage(state: SearchState, number: int, settled: bool, setting: Identif
     return "done" if settled or number >= setting.iterations else "polish"
 
 
-def _entry(problem: Problem, state: SearchState, taken: LineStep, found: Linearisation) -> Iteration:
+def _entry(problem: Problem, state: SearchState, taken: LineStep, slopes: Linearisation) -> Iteration:
     return Iteration(
         number=len(state.record) + 1,
         method=f"linearised, {state.stage}",
         stage=state.stage,
         cost=taken.cost,
         sigma=float(sampling_sd(state.shape)[problem.active].mean()) if problem.active.any() else 0.0,
-        rollouts=found.rollouts + taken.rollouts,
-        diverged=found.diverged + taken.diverged,
+        rollouts=slopes.rollouts + taken.rollouts,
+        diverged=slopes.diverged + taken.diverged,
         theta=tuple(float(t) for t in problem.system.space.theta_of(taken.z)),
     )

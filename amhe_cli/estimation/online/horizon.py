@@ -34,8 +34,10 @@ from amhe_cli.system.system import System
 #: diverged, or too many of the samples did.
 Mark = Literal["updated", "jump", "still", "gap", "diverged"]
 
-#: Fewest steps of the model in a window, and fewest samples that determine slopes.
-LEAST, LEAST_SAMPLES = 5, 4
+#: Fewest steps of the model in a window.
+LEAST = 5
+#: Fewest samples that determine slopes.
+LEAST_SAMPLES = 4
 #: Every so many updates the effect on a window is computed anew: it takes a rollout for each number.
 _EVERY = 10
 
@@ -92,15 +94,15 @@ class Considered:
 
     def _of_window(self, cost: MatchingCost, z: FloatArray, fit: WindowFit) -> FloatArray:
         """T, how far each number moves the window's own estimate, shape (d, k)."""
-        found, before = fit.information, cost.residuals(z[None])
-        assert self._variants is not None and found is not None
+        told, before = fit.information, cost.residuals(z[None])
+        assert self._variants is not None and told is not None
         moves = np.zeros((z.size, len(self._variants)))
         for column, (system, engine) in enumerate(self._variants):
             after = cost.upon(engine, system).residuals(z[None])
             if before.completed.all() and after.completed.all():
                 change = (after.flat - before.flat)[0, 0]
-                pull = fit.slope @ (found.weight[0] * change)
-                moves[:, column] = -np.linalg.solve(found.matrix[0] + np.eye(z.size), pull)
+                pull = fit.slope @ (told.weight[0] * change)
+                moves[:, column] = -np.linalg.solve(told.matrix[0] + np.eye(z.size), pull)
         return moves
 
 
@@ -323,7 +325,7 @@ def usable(system: System, window: Window) -> bool:
     if window.start < 0 or window.stop >= log.steps:
         return False
     starts = all(log[c.key].valid[window.start] for c in system.channels if c.sets_state)
-    needed = (key for one in system.inputs for key in one.keys)
+    needed = (key for source in system.inputs for key in source.keys)
     driven = all(log[key].valid[window.start : window.stop].all() for key in needed)
     after = slice(window.start + 1, window.stop + 1)
     compared = [log[c.key] for c in system.channels if c.compared]

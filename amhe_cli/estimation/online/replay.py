@@ -130,7 +130,7 @@ class Replay:
         return np.array([getattr(e, field) for e in self.estimates])
 
 
-def paced(system: System, own: MheSettings) -> System:
+def paced(system: System, before: MheSettings) -> System:
     """The system with an update period that suits a window longer than its own.
 
     The time of an update is proportional to its window. So the period keeps its share of the window, and an
@@ -138,10 +138,10 @@ def paced(system: System, own: MheSettings) -> System:
 
     Args:
         system: The system, whose window was chosen by the user and whose update period was not.
-        own: Settings of the system before that choice.
+        before: Settings of the system before that choice.
     """
     mhe = system.settings.mhe
-    period = own.update_period * max(1.0, mhe.window / own.window)
+    period = before.update_period * max(1.0, mhe.window / before.window)
     changed = mhe.model_copy(update={"update_period": period})
     return replace(system, settings=system.settings.model_copy(update={"mhe": changed}))
 
@@ -231,9 +231,9 @@ def replay(estimator: MovingHorizon, steps: Sequence[Window], begun: float = 0.0
         yield estimator.update(window, begun + window.stop * window.log.dt)
 
 
-def caution(done: Replay) -> None:
+def caution(run: Replay) -> None:
     """Log warnings that a reader of the estimates must know."""
-    source, count, marks = done.windows[0].log.source, len(done.windows), done.marks
+    source, count, marks = run.windows[0].log.source, len(run.windows), run.marks
     if marks["gap"]:
         logger.warning(
             "%s: %d of %d windows were skipped because a signal or an input is missing; the sd of the "
@@ -246,10 +246,10 @@ def caution(done: Replay) -> None:
             marks["diverged"],
             count,
         )
-    if not any(e.updated for e in done.estimates):
+    if not any(e.updated for e in run.estimates):
         logger.warning("%s: no window was used: the estimate is still the initial one", source)
-    took = done.update_ms[np.isfinite(done.update_ms)]
-    usual, period = float(np.median(took)) if took.size else 0.0, 1e3 * done.system.settings.mhe.update_period
+    took = run.update_ms[np.isfinite(run.update_ms)]
+    usual, period = float(np.median(took)) if took.size else 0.0, 1e3 * run.system.settings.mhe.update_period
     if usual > period:
         logger.warning(
             "an update takes %.0f ms, but the update period is %g ms: this machine would not keep up with a "
@@ -270,44 +270,44 @@ class Prediction:
     values: Mapping[str, FloatArray]
 
 
-def predictions(done: Replay) -> list[Prediction | None]:
+def predictions(run: Replay) -> list[Prediction | None]:
     """Roll each window out with the estimate after it, and keep the part that is new in it.
 
     Returns:
         One prediction for each window; None where a signal is missing at its start, or the rollout diverged.
     """
-    system = done.system
-    log = done.windows[0].log
-    theta = values_on(log, system.edits.space, system.space, done.column("theta"))
-    newest = round(system.settings.mhe.update_period / done.windows[0].log.dt)
-    found: list[Prediction | None] = [None] * len(done.windows)
+    system = run.system
+    log = run.windows[0].log
+    theta = values_on(log, system.edits.space, system.space, run.column("theta"))
+    newest = round(system.settings.mhe.update_period / run.windows[0].log.dt)
+    shown: list[Prediction | None] = [None] * len(run.windows)
     if system.match == "effort":
-        return [_efforts(done, i, newest) for i in range(len(done.windows))]
-    known = [i for i, window in enumerate(done.windows) if usable(system, window)]
-    for start in range(0, len(known), _AT_ONCE):
-        some = known[start : start + _AT_ONCE]
-        ends = _ends(system, done.engine, [done.windows[i] for i in some], theta[some], newest)
+        return [_efforts(run, i, newest) for i in range(len(run.windows))]
+    rows = [i for i, window in enumerate(run.windows) if usable(system, window)]
+    for start in range(0, len(rows), _AT_ONCE):
+        some = rows[start : start + _AT_ONCE]
+        ends = _ends(system, run.engine, [run.windows[i] for i in some], theta[some], newest)
         for i, end in zip(some, ends, strict=True):
-            found[i] = end
-    return found
+            shown[i] = end
+    return shown
 
 
-def _efforts(done: Replay, i: int, newest: int) -> Prediction | None:
+def _efforts(run: Replay, i: int, newest: int) -> Prediction | None:
     """Efforts along the newest part of a window's motion; NaN of joints that were not compared."""
-    window, system = done.windows[i], done.system
-    if (cost := cost_of(system, window, done.engine)) is None:
+    window, system = run.windows[i], run.system
+    if (cost := cost_of(system, window, run.engine)) is None:
         return None
-    (own,), observed = cost.clips.windows, cost.clips.observed
-    predicted = cost.predict(system.space.z_of(done.estimates[i].theta)[None]).values
-    compared = np.any([one.mask[0] for one in observed], axis=0)
-    rows = observed[0].rows[0] + 1 + own.start
-    some = np.flatnonzero(compared & (rows > own.stop - newest))
+    (alone,), observed = cost.clips.windows, cost.clips.observed
+    predicted = cost.predict(system.space.z_of(run.estimates[i].theta)[None]).values
+    compared = np.any([channel.mask[0] for channel in observed], axis=0)
+    rows = observed[0].rows[0] + 1 + alone.start
+    some = np.flatnonzero(compared & (rows > alone.stop - newest))
     series: dict[str, FloatArray] = {}
-    for one, values in zip(observed, predicted, strict=True):
-        width = len(own.log[one.channel.series].columns)
-        into = series.setdefault(one.channel.series, np.full((some.size, width), np.nan))
-        into[:, one.channel.part] = to_host(values)[0, 0, some, 0]
-    return Prediction(rows[some] + window.start - own.start, series)
+    for channel, values in zip(observed, predicted, strict=True):
+        width = len(alone.log[channel.channel.series].columns)
+        into = series.setdefault(channel.channel.series, np.full((some.size, width), np.nan))
+        into[:, channel.channel.part] = to_host(values)[0, 0, some, 0]
+    return Prediction(rows[some] + window.start - alone.start, series)
 
 
 def _ends(
@@ -351,26 +351,26 @@ def _ends(
     ]
 
 
-def replay_fits(done: Replay) -> tuple[Fit, ...]:
+def replay_fits(run: Replay) -> tuple[Fit, ...]:
     """Measured against predicted in the used windows of least, median and largest misfit, by channel.
 
     The initial prediction is from the belief before the replay, the identified one from the estimate after
     the window.
     """
-    moved = done.column("updated")
-    order = np.argsort(np.where(moved, done.column("misfit"), np.inf))[: int(moved.sum())]
+    moved = run.column("updated")
+    order = np.argsort(np.where(moved, run.column("misfit"), np.inf))[: int(moved.sum())]
     if not order.size:
         return ()
     picks = order[np.unique(np.linspace(0, order.size - 1, SHOWN).round().astype(int))]
-    return tuple(fit for i in picks for fit in _fits(done, int(i)))
+    return tuple(fit for i in picks for fit in _fits(run, int(i)))
 
 
-def _fits(done: Replay, i: int) -> Iterator[Fit]:
-    window, estimate, system = done.windows[i], done.estimates[i], done.system
-    cost = cost_of(system, window, done.engine)
+def _fits(run: Replay, i: int) -> Iterator[Fit]:
+    window, estimate, system = run.windows[i], run.estimates[i], run.system
+    cost = cost_of(system, window, run.engine)
     assert cost is not None, "the window was used"
-    predicted = cost.predict(np.stack((done.start.z, system.space.z_of(estimate.theta))))
-    end = done.times[i]
+    predicted = cost.predict(np.stack((run.start.z, system.space.z_of(estimate.theta))))
+    end = run.times[i]
     label = (
         f"{end - window.duration:.2f} to {end:.2f} s: misfit {estimate.misfit:.2g}"
         f"{'' if estimate.mark == 'updated' else f', {estimate.mark}'}"

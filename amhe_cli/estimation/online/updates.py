@@ -214,20 +214,20 @@ def fit_window(problem: WindowProblem, z: FloatArray) -> WindowFit:
         keys = [observed.channel.key for observed in cost.clips.observed]
         variances = [max(noise.square.get(key, 1.0), 1.0) for key in keys]
         weight = weights(cost, residual, [noise.time.get(key, 1.0) for key in keys], variances)
-        found = marginalised(slopes.residual, gz, gx, weight / (1.0 + slopes.bend), zero)
+        told = marginalised(slopes.residual, gz, gx, weight / (1.0 + slopes.bend), zero)
         # the system's prior separates what the window alone cannot
-        step, _ = gauss_newton_step(found.matrix[0], found.score[0], np.eye(d), np.zeros(d))
-        slope = (gz + found.nuisance_gain.transpose(0, 2, 1) @ gx)[0]
-        return found, slope, step, found.residual + step @ slope
+        step, _ = gauss_newton_step(told.matrix[0], told.score[0], np.eye(d), np.zeros(d))
+        slope = (gz + told.nuisance_gain.transpose(0, 2, 1) @ gx)[0]
+        return told, slope, step, told.residual + step @ slope
 
     *_, left = fitted(slopes.residual, problem.noise)
     noise, square = _remembered(problem.noise, cost, left)
-    found, slope, step, left = fitted(left, noise.at_least(square))
-    explained = (left**2).sum() <= _JUMP_LEAVES * (found.residual**2).sum()
-    far = innovation(step, found.matrix[0], problem.prior.covariance, problem.settings.information)
+    told, slope, step, left = fitted(left, noise.at_least(square))
+    explained = (left**2).sum() <= _JUMP_LEAVES * (told.residual**2).sum()
+    far = innovation(step, told.matrix[0], problem.prior.covariance, problem.settings.information)
     return WindowFit(
         slopes,
-        found,
+        told,
         noise=_remembered(problem.noise, cost, left)[0],
         innovation=far if explained else 0.0,
         excitation=rms(shape.T @ gz[0], cost.clips.counts),
@@ -295,24 +295,24 @@ def linearised_update(problem: WindowProblem, first: WindowFit, prior: Gaussian)
     """
     space, counts = problem.cost.system.space, problem.cost.clips.counts
     belief, fit, after = problem.prior, first, np.inf
-    done, rollouts, diverged = 1, first.slopes.rollouts, first.slopes.diverged
+    turns, rollouts, diverged = 1, first.slopes.rollouts, first.slopes.diverged
     while fit.information is not None:
-        found = fit.information
-        step, covariance = _posterior_step(problem, prior, found, belief.z)
-        after = rms(found.residual[0] + step @ fit.slope, counts)
+        told = fit.information
+        step, covariance = _posterior_step(problem, prior, told, belief.z)
+        after = rms(told.residual[0] + step @ fit.slope, counts)
         belief = Gaussian(space.clip(belief.z + step), covariance)
         short = step @ np.linalg.solve(covariance, step) < 1.0
-        if short or done == problem.settings.iteration_count or problem.late():
+        if short or turns == problem.settings.iteration_count or problem.late():
             break
         fit, after = fit_window(problem, belief.z), np.inf
-        done, rollouts = done + 1, rollouts + fit.slopes.rollouts
+        turns, rollouts = turns + 1, rollouts + fit.slopes.rollouts
         diverged += fit.slopes.diverged
     before = rms(first.slopes.residual[0], counts) if first.information else np.inf
-    return Outcome(belief, fit.noise, before, after, first.excitation, rollouts, diverged, done)
+    return Outcome(belief, fit.noise, before, after, first.excitation, rollouts, diverged, turns)
 
 
 def _posterior_step(
-    problem: WindowProblem, prior: Gaussian, found: Information, z: FloatArray
+    problem: WindowProblem, prior: Gaussian, told: Information, z: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Step from z (d,) to the minimum of tempered cost and arrival cost, and the covariance there.
 
@@ -320,25 +320,25 @@ def _posterior_step(
     (Joseph's form), as for parameters that are considered rather than estimated (Schmidt 1966).
     """
     share = problem.share * problem.settings.information
-    gain, matrix, weighted = _gain(problem, prior, found)
+    gain, matrix, weighted = _gain(problem, prior, told)
     kept = np.eye(z.size) - gain @ matrix
     covariance = kept @ prior.covariance @ kept.T + gain @ matrix @ gain.T
-    return -gain @ (share * found.score[0] + weighted @ (z - prior.z)), covariance
+    return -gain @ (share * told.score[0] + weighted @ (z - prior.z)), covariance
 
 
 def _gain(
-    problem: WindowProblem, prior: Gaussian, found: Information
+    problem: WindowProblem, prior: Gaussian, told: Information
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Gain of a step, information that counts, and weight of the prior, each (d, d)."""
-    matrix = problem.share * problem.settings.information * found.matrix[0]
+    matrix = problem.share * problem.settings.information * told.matrix[0]
     weights = problem.settings.weights(problem.cost.system.space.names)
     weighted = np.asarray(np.linalg.inv(prior.covariance) + np.diag(weights), dtype=np.float64)
     return np.asarray(np.linalg.inv(matrix + weighted), dtype=np.float64), matrix, weighted
 
 
-def kept_error(problem: WindowProblem, prior: Gaussian, found: Information) -> FloatArray:
+def kept_error(problem: WindowProblem, prior: Gaussian, told: Information) -> FloatArray:
     """How much of an error of z before an update is left after it, shape (d, d)."""
-    gain, matrix, _ = _gain(problem, prior, found)
+    gain, matrix, _ = _gain(problem, prior, told)
     return np.eye(len(matrix)) - gain @ matrix
 
 
@@ -352,28 +352,28 @@ def logrank_update(problem: WindowProblem) -> Outcome:
     weight, counts = np.array(setting.weights(space.names)), cost.clips.counts
     mean = prior = problem.prior.z  # line 24
     sigma, floor = space.in_z(setting.sigma), space.in_z(setting.sigma_floor)
-    rollouts = diverged = done = 0
+    rollouts = diverged = turns = 0
     before = after = excited = np.nan
     for _ in range(setting.iteration_count):  # line 25
-        if done and problem.late():
+        if turns and problem.late():
             break
         drawn = mean + sigma * problem.rng.standard_normal((problem.samples - 1, len(space)))
         samples = space.clip(np.concatenate((drawn, mean[None])))  # line 26; the mean itself never gets lost
         residuals = cost.residuals(samples)
         distance = ((samples - prior) ** 2) @ weight
         costs = cost.clip_costs(residuals)[:, 0] + distance  # line 27, equation (5)
-        if not done:
+        if not turns:
             excited = excitation(residuals, counts)
             before = rms(residuals.flat[-1, 0], counts) if residuals.completed[-1, 0] else np.inf
         best = int(np.argmin(costs))
         after = rms(residuals.flat[best, 0], counts) if np.isfinite(costs[best]) else np.inf
         mean, sigma = learned(samples, costs, mean, sigma, setting.elites, setting.learning_rate)  # line 28
         rollouts, diverged = rollouts + costs.size, diverged + int((~residuals.completed).sum())
-        done += 1
+        turns += 1
         if (sigma <= floor).all():  # lines 29-32
             break
     belief = Gaussian(mean, np.diag(sigma**2))  # line 33
-    return Outcome(belief, problem.noise, before, after, excited, rollouts, diverged, done)
+    return Outcome(belief, problem.noise, before, after, excited, rollouts, diverged, turns)
 
 
 def learned(
@@ -406,10 +406,10 @@ def excitation(residuals: Residuals, counts: FloatArray) -> float:
         residuals: Residuals of p samples on one window.
         counts: Number of measurements in the window, shape (1,).
     """
-    done = residuals.completed[:-1, 0]
-    if not done.any() or not residuals.completed[-1, 0]:
+    completed = residuals.completed[:-1, 0]
+    if not completed.any() or not residuals.completed[-1, 0]:
         return float("inf") if not residuals.completed.all() else 0.0
-    moved = residuals.flat[:-1, 0][done] - residuals.flat[-1, 0]
+    moved = residuals.flat[:-1, 0][completed] - residuals.flat[-1, 0]
     return float(np.sqrt((moved**2).sum(axis=1).mean() / counts[0]))
 
 

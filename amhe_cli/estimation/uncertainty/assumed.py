@@ -40,8 +40,10 @@ logger = logging.getLogger(__name__)
 EXPLAINS = 0.1
 #: First change of a number, in its sd; where contacts jitter, it is all of the sd.
 SMALL = 0.05
-#: Error of the estimate, in its sd, below which a number has no say in it; where contacts jitter.
-FELT, FELT_IN_JITTER = 0.03, 0.3
+#: Error of the estimate, in its sd, below which a number has no say in it.
+FELT = 0.03
+#: The same where contacts jitter.
+FELT_IN_JITTER = 0.3
 #: Factor on the sd of a first velocity that was differentiated, where assumed values are judged.
 BLIND = 10.0
 #: Step of a number, in its sd, beyond which the slopes of one sd say little.

@@ -104,7 +104,7 @@ class Posterior:
         return np.diag(self.hessian - self.prior) > LITTLE * np.diag(self.prior)
 
 
-def posterior(z: FloatArray, found: Information, weight: FloatArray, prior: FloatArray) -> Posterior:
+def posterior(z: FloatArray, told: Information, weight: FloatArray, prior: FloatArray) -> Posterior:
     """Combine the clips' information with the prior of z.
 
     The scatter of the clips' scores replaces what white noise would give (Huber's sandwich with the clip as
@@ -115,21 +115,21 @@ def posterior(z: FloatArray, found: Information, weight: FloatArray, prior: Floa
 
     Args:
         z: Where the clips were linearised, from the prior's mean, shape (d,).
-        found: Information of c clips.
+        told: Information of c clips.
         weight: Number of times that each clip counts, shape (c,); 0 leaves it out.
         prior: Information of the prior, shape (d, d).
     """
-    step, _ = gauss_newton_step(*found.summed(weight), prior, z)
-    hessian = np.einsum("c,cij->ij", weight, found.curvature) + prior
-    score = found.score + np.einsum("cij,j->ci", found.matrix, step)
+    step, _ = gauss_newton_step(*told.summed(weight), prior, z)
+    hessian = np.einsum("c,cij->ij", weight, told.curvature) + prior
+    score = told.score + np.einsum("cij,j->ci", told.matrix, step)
     centred = score - (weight[:, None] * score).sum(axis=0) / max(weight.sum(), 1e-300)
-    followed = found.scatter @ np.linalg.solve(hessian, found.curvature)
+    followed = told.scatter @ np.linalg.solve(hessian, told.curvature)
     followed = 0.5 * (followed + followed.transpose(0, 2, 1))
     between = np.einsum("c,ci,cj->ij", weight, centred, centred) + np.einsum("c,cij->ij", weight, followed)
     # in coordinates in which the posterior is round
     values, vectors = np.linalg.eigh(hessian)
     to, back = vectors / np.sqrt(values), vectors * np.sqrt(values)
-    alone = to.T @ (weight[:, None, None] * found.scatter) @ to
+    alone = to.T @ (weight[:, None, None] * told.scatter) @ to
     both = _shrunk(to.T @ between @ to, alone)
     return Posterior(step, hessian, back @ both @ back.T, prior)
 
@@ -221,13 +221,13 @@ class FinalFit:
             some = np.flatnonzero(together == colour)
             z = np.repeat(self.z[None], values.shape[1], axis=0)
             z[:, rows[some]] = values[some].T
-            found = cost.residuals(z, first_states(z))
+            residuals = cost.residuals(z, first_states(z))
             for i in some:
-                own = found if reach is None else reach.alone(rows[i], cost, found, here)
+                moved = residuals if reach is None else reach.alone(rows[i], cost, residuals, here)
                 alone = np.repeat(self.z[None], len(z), axis=0)
                 alone[:, rows[i]] = values[i]
                 first = self.information.first(alone - self.z)[:, clips]
-                costs[i] = objective(cost, own, first, (1.0,) * len(own.values), counted)
+                costs[i] = objective(cost, moved, first, (1.0,) * len(moved.values), counted)
         return costs / max(float((counted * cost.clips.counts).sum()), 1.0)
 
 
@@ -247,10 +247,10 @@ def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) ->
         slopes = _linearised(problem, finding.z, scale, shape, first, turn)
         told = information(slopes)
         weight = clip_weights(slopes, told) * problem.coverage(problem.clips)
-        known = posterior(finding.z, told, weight, space.prior_precision)
-        left = step_within(finding.z, known.step, known.hessian, space)
-        fit = FinalFit(problem, finding, slopes, told, weight, known, shape, scale, left)
-        covariance = within(known.covariance, problem.alike)
+        there = posterior(finding.z, told, weight, space.prior_precision)
+        left = step_within(finding.z, there.step, there.hessian, space)
+        fit = FinalFit(problem, finding, slopes, told, weight, there, shape, scale, left)
+        covariance = within(there.covariance, problem.alike)
         wanted = bounded(4.0 * covariance, floor, problem.active, problem.alike)
         # slopes from samples that hardly bend are those of wider ones, too
         straight = not problem.touches and float(slopes.bend.mean()) < HARDLY
@@ -274,13 +274,13 @@ def doubled_step(fit: FinalFit) -> Posterior:
 def doubled_prior(fit: FinalFit) -> FloatArray:
     """Where each estimate would move if the sd of its own prior were twice as large, shape (d,)."""
     prior, moves = fit.posterior.prior, np.zeros_like(fit.z)
-    known = fit.posterior.hessian - prior
+    matrix = fit.posterior.hessian - prior
     _, score = fit.information.summed(fit.weight)
     for i in np.flatnonzero(fit.problem.active):
         wider = np.array(prior)
         wider[i] *= 0.5  # row and column: the diagonal becomes a quarter
         wider[:, i] *= 0.5
-        moves[i] = gauss_newton_step(known, score, wider, fit.z)[0][i] - fit.posterior.step[i]
+        moves[i] = gauss_newton_step(matrix, score, wider, fit.z)[0][i] - fit.posterior.step[i]
     return moves
 
 
@@ -317,8 +317,8 @@ class Scored:
     @property
     def losses(self) -> list[FloatArray]:
         """Robust loss of each channel, shape (c,) each; infinite where the clip diverged."""
-        done = self.residuals.completed[0]
-        return [np.where(done, loss[0], np.inf) for loss in self.cost.losses(self.residuals)]
+        completed = self.residuals.completed[0]
+        return [np.where(completed, loss[0], np.inf) for loss in self.cost.losses(self.residuals)]
 
     def misfit(self, times: Sequence[float]) -> FloatArray:
         """Losses as of independent samples for some autocorrelation times, and first-state errors, (c,)."""

@@ -147,21 +147,21 @@ def _with_mean(lines: WithMeans, parameter: Parameter, members: list[int]) -> Wi
     space, group = lines.space, grouped(lines.z, lines.ledger.covariance, members)
     at, names = members[0], tuple(space.names[i] for i in members)
     order = [*range(at), len(space), *range(at, len(space))]
-    follows, found = group.follows[order], []
+    follows, terms = group.follows[order], []
     for term in lines.ledger.terms:
         sources = [replace(s, apart=tuple(follows @ s.apart)) if s.apart else s for s in term.sources]
         # the independent priors of the values are no more
         kept = [k for k, s in enumerate(sources) if s.parameter not in names] if sources else slice(None)
         errors = follows @ term.errors[:, kept]
-        found.append(
+        terms.append(
             replace(term, errors=errors, sources=tuple(s for s in sources if s.parameter not in names))
         )
-    left = group.covariance[np.ix_(order, order)] - np.sum([term.covariance for term in found], axis=0)
+    left = group.covariance[np.ix_(order, order)] - np.sum([term.covariance for term in terms], axis=0)
     low, middle, high = (float(s * parameter.prior_sd) for s in group.spread)
     return WithMeans(
         ParameterSpace(tuple(parameter if i == len(space) else space.parameters[i] for i in order)),
         group.mean[order],
-        Ledger((*found, term_of("spread", left))),
+        Ledger((*terms, term_of("spread", left))),
         (*lines.rows[:at], tuple(lines.rows[i][0] for i in members), *lines.rows[at:]),
         np.insert(lines.next_log, at, group.variance),
         (*lines.spreads, OwnSpread(parameter.name, names, middle, low, high, parameter.log)),

@@ -163,15 +163,15 @@ class Ledger:
             own: Names of parameters whose priors are its own, and no such numbers.
             doubted: Those that the logs speak against, in place of those that they leave open.
         """
-        found = [pair for term in self.terms if term.kind == "assumed" for pair in term.of(i)]
-        found += [
+        pairs = [pair for term in self.terms if term.kind == "assumed" for pair in term.of(i)]
+        pairs += [
             (variance, source)
             for term in self.terms
             if term.kind == "prior"
             for variance, source in term.of(i)
             if source.parameter and source.parameter not in own
         ]
-        some = ((v, s) for v, s in found if v > 0.0 and s.doubted == doubted)
+        some = ((v, s) for v, s in pairs if v > 0.0 and s.doubted == doubted)
         return sorted(some, key=lambda pair: -pair[0])
 
 

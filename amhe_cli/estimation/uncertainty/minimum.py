@@ -33,13 +33,18 @@ logger = logging.getLogger(__name__)
 SHARE = 0.15
 #: Probability of values whose -2 log posterior is higher by SURPRISE squared than that of others.
 EXCLUDED = 1.0 / (1.0 + np.exp(0.5 * SURPRISE**2))
-#: Clips that they fit, and most iterations of one of them.
-FEW, TURNS = 2, 6
-#: Distance of a corner from the prior's mean along each parameter, in prior sd, and how many are tried.
-CORNER, CORNERS = 1.0, 16
-#: Places on the line from a corner to the estimate, its ends included, and the factor by which the cost
-#: rises between two minima.
-STOPS, RISE = 6, 1.1
+#: Clips that they fit.
+FEW = 2
+#: Most iterations of one of them.
+TURNS = 6
+#: Distance of a corner from the prior's mean along each parameter, in prior sd.
+CORNER = 1.0
+#: Corners that are tried.
+CORNERS = 16
+#: Places on the line from a corner to the estimate, its ends included.
+STOPS = 6
+#: Factor by which the cost rises between two minima.
+RISE = 1.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,8 +113,8 @@ def second_minimum(fit: FinalFit) -> Rival | None:
         end = np.where(felt, state.z, fit.z)
         here, there = cost.costs(np.stack((fit.z, end)))
         # two clips know less than all do; the samples are two of their sd wide
-        known = covariance + state.shape @ state.shape.T
-        away = (end - fit.z) @ np.linalg.solve(known, end - fit.z)
+        width = covariance + state.shape @ state.shape.T
+        away = (end - fit.z) @ np.linalg.solve(width, end - fit.z)
         if away <= SURPRISE**2 or there > RISE * here:
             continue
         if (rival := _confirmed(fit, end)) is not None:
@@ -168,11 +173,11 @@ def _confirmed(fit: FinalFit, z: FloatArray) -> Rival | None:
     places = fit.z, fit.space.clip(z + step)
     differs = np.abs(places[1] - places[0]) > SURPRISE * fit.posterior.sd
     both = [scored(fit.problem, cost, place, fit.shape) for place in places]
-    misfits = [np.where(fit.weight > 0.0, one.misfit(fit.times), 0.0) @ fit.weight for one in both]
+    misfits = [np.where(fit.weight > 0.0, each.misfit(fit.times), 0.0) @ fit.weight for each in both]
     here, there = (misfit + place @ prior @ place for misfit, place in zip(misfits, places, strict=True))
     if not (there - here < SURPRISE**2 and differs.any()):
         return None
-    costs = [float(cost.as_declared(one.residuals)[0]) for one in both]
+    costs = [float(cost.as_declared(each.residuals)[0]) for each in both]
     return Rival(places[1], float(1.0 / (1.0 + np.exp(0.5 * (there - here)))), differs, (costs[0], costs[1]))
 
 

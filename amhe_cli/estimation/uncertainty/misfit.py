@@ -21,15 +21,18 @@ from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
 
-#: A next step of this many sd is a search cut short, and of this many where it was stopped on its way.
-UNSETTLED, MOVING = 2.0, 1.0
+#: A next step of this many sd is a search cut short.
+UNSETTLED = 2.0
+#: A next step of this many sd is one, too, where the search was stopped on its way.
+MOVING = 1.0
 #: Last iterations that show whether the cost still falls.
 STALLED = 3
 #: Residuals of this many noise sd are asked what they lack.
 ASKED = 2.0
-#: Residuals of this many times the declared noise make every number the model's, unless they are noise:
-#: their autocorrelation time is below so many samples.
-MISSED, WHITE = 5.0, 2.0
+#: Residuals of this many times the declared noise make every number the model's, unless they are white.
+MISSED = 5.0
+#: Residuals whose autocorrelation time is below so many samples are white: they are noise.
+WHITE = 2.0
 #: Things that a warning lists; of more, it gives the number.
 LISTED = 3
 
@@ -69,7 +72,7 @@ def unexplained(fit: FinalFit) -> tuple[str, ...]:
 
     Residuals that are large but independent are noise, however little was declared.
     """
-    found, system = [], fit.problem.system
+    texts, system = [], fit.problem.system
     noise = {o.channel.key: float(np.mean(o.noise)) for o in fit.slopes.cost.clips.observed}
     moved = {each.channel.key: _scatter(each) for each in fit.slopes.cost.clips.observed}
     for key, (scale, white) in sorted(misfits(fit).items(), key=lambda item: -item[1][0]):
@@ -77,8 +80,8 @@ def unexplained(fit: FinalFit) -> tuple[str, ...]:
             text = f"the model misses {key} by {scale:.0f} times its noise: {_remedy(system, key)}"
             missed, quantity = noise[key], key.partition(PART)[0].rsplit(".", 1)[1]
             advice = f"; if it cannot be better, declare what it misses, noise: {{{quantity}: {missed:.2g}}}"
-            found.append(text + advice * (missed < moved[key]))
-    return tuple(found)
+            texts.append(text + advice * (missed < moved[key]))
+    return tuple(texts)
 
 
 def _scatter(observed: Observed) -> float:
@@ -109,7 +112,7 @@ def left_out(fit: FinalFit) -> tuple[str, ...]:
 
     Such a clip is missed by MISSED times the noise that the others show, and not by noise of its own.
     """
-    cost, found = fit.slopes.cost, []
+    cost, misses = fit.slopes.cost, []
     values = split(cost, fit.information.residual)
     losses = cost.losses(Residuals(tuple(v[None] for v in values), fit.slopes.completed[None]))
     for i in np.flatnonzero((fit.weight == 0.0) & fit.slopes.completed):
@@ -118,11 +121,11 @@ def left_out(fit: FinalFit) -> tuple[str, ...]:
             count = max(int(observed.mask[i].sum()), 1) * observed.width
             missed = float(np.sqrt(loss[0, i] / count))
             if missed > MISSED and time >= WHITE:
-                found.append((missed, observed.channel.key, clip_name(cost.clips.windows[i])))
-    if not found:
+                misses.append((missed, observed.channel.key, clip_name(cost.clips.windows[i])))
+    if not misses:
         return ()
-    missed, key, clip = max(found)
-    others = len({clip for _, _, clip in found}) - 1
+    missed, key, clip = max(misses)
+    others = len({clip for _, _, clip in misses}) - 1
     more = f" (and so {others} more)" if others else ""
     return (
         f"the model misses {key} of {clip} by {missed:.0f} times the noise of other clips{more}, and "

@@ -35,14 +35,17 @@ logger = logging.getLogger(__name__)
 HALVES = ("the first half of the logs", "the second half of the logs")
 #: Iterations that each half gets to find its own estimate.
 REFITS = 2
-#: Clips that a part must have, and logs from which they are many parts of one data set.
-FEWEST_CLIPS, MANY = 3, 10
+#: Clips that a part must have.
+FEWEST_CLIPS = 3
+#: From so many logs on, they are compared by halves and not each with each.
+MANY = 10
 #: What two parts know of a combination, as a share of what they know of the best known one, below which it is
 #: rounding.
 ROUNDING = 3e-5
-#: Error of the estimate, in the sd of noise, from which a difference of the halves is reported as a drift,
-#: and values that the report lists.
-DRIFTS, LISTED = 0.5, 3
+#: Error of the estimate, in the sd of noise, from which a difference of the halves is reported as a drift.
+DRIFTS = 0.5
+#: Values that the report of a drift lists.
+LISTED = 3
 
 #: Parts of the data by their names, with what each says alone.
 Parts = Mapping[str, Posterior]
@@ -84,8 +87,8 @@ def _apart(one: Posterior, other: Posterior, fit: FinalFit, pairs: int) -> tuple
     excess = beyond_chance(apart, difference(noise, pull, prior_error), pairs)
     # in units of the joint posterior, where no combination is small because it is well known
     lower = np.linalg.cholesky(joint)
-    known = np.linalg.solve(lower, (np.eye(len(apart)) - 0.5 * (pull[0] + pull[1])) @ lower)
-    follow = np.linalg.pinv(known, rcond=ROUNDING) @ known
+    share = np.linalg.solve(lower, (np.eye(len(apart)) - 0.5 * (pull[0] + pull[1])) @ lower)
+    follow = np.linalg.pinv(share, rcond=ROUNDING) @ share
     return apart, lower @ follow @ np.linalg.solve(lower, excess)
 
 
@@ -101,11 +104,11 @@ def _weight(alone: Parts, pair: tuple[str, str], excess: FloatArray, joint: Floa
     if not excess.any():
         return 0.0
     # in units of the joint posterior: in those of the prior, what is hardly known would outweigh all else
-    known, along = {}, np.linalg.solve(joint, excess)
+    shares, along = {}, np.linalg.solve(joint, excess)
     for name, part in alone.items():
-        known[name] = float(np.clip(1.0 - along @ part.pull @ excess / (along @ excess), 0.0, 1.0))
-    count = max(sum(known.values()), 2.0)
-    both = known[pair[0]] * known[pair[1]]
+        shares[name] = float(np.clip(1.0 - along @ part.pull @ excess / (along @ excess), 0.0, 1.0))
+    count = max(sum(shares.values()), 2.0)
+    both = shares[pair[0]] * shares[pair[1]]
     return float(np.sqrt(both / (count * (count - 1.0)))) if both > LITTLE**2 else 0.0
 
 
@@ -120,9 +123,9 @@ def _kinds(fit: FinalFit) -> Parts:
     }
 
 
-def _alone(fit: FinalFit, found: Information | None = None, side: BoolArray | float = 1.0) -> Posterior:
+def _alone(fit: FinalFit, told: Information | None = None, side: BoolArray | float = 1.0) -> Posterior:
     """What a part of the linearisation says; the prior's mean is the joint estimate."""
-    return posterior(np.zeros_like(fit.z), found or fit.information, fit.weight * side, fit.posterior.prior)
+    return posterior(np.zeros_like(fit.z), told or fit.information, fit.weight * side, fit.posterior.prior)
 
 
 def each_log(fit: FinalFit) -> dict[str, Posterior]:
@@ -161,7 +164,7 @@ def _halves(joint: FinalFit, refitted: bool) -> Parts:
     if not refitted:
         return {name: _alone(joint, side=side) for name, side in zip(HALVES, (~late, late), strict=True)}
     straight = finding.shape if isinstance(finding, SearchState) and finding.straight else None
-    found = {}
+    halves = {}
     for name, rows in zip(HALVES, (np.flatnonzero(~late), np.flatnonzero(late)), strict=True):
         part = problem.part(rows)
         state = search.restart(part, finding.z, straight)
@@ -170,8 +173,8 @@ def _halves(joint: FinalFit, refitted: bool) -> Parts:
         fit = final_fit(part, state)
         away = state.z - finding.z
         alone = posterior(away, fit.information, fit.weight, fit.posterior.prior)
-        found[name] = replace(alone, step=away + alone.step)
-    return found
+        halves[name] = replace(alone, step=away + alone.step)
+    return halves
 
 
 def _second_half(problem: Problem) -> BoolArray:
@@ -202,15 +205,15 @@ def report_drift(fit: FinalFit, term: Term) -> None:
 
 def estimates(fit: FinalFit) -> tuple[RunEstimate, ...]:
     """Value and sd of each parameter from each log alone, without those that it hardly knows."""
-    found, space = [], fit.space
+    runs, space = [], fit.space
     for name, part in each_log(fit).items():
         # from the system's own prior, as if the log were alone
         step = part.step - part.pull @ fit.z
         values = space.theta_of(space.clip(fit.z + step))
         sd = part.sd * space.prior_sd * np.where(space.log, values, 1.0)
         lines = zip(space.names, values.tolist(), sd.tolist(), part.informed, strict=True)
-        found.append(RunEstimate(name, {name: (value, s) for name, value, s, informed in lines if informed}))
-    return tuple(found)
+        runs.append(RunEstimate(name, {name: (value, s) for name, value, s, informed in lines if informed}))
+    return tuple(runs)
 
 
 def names_of(logs: Collection[Log]) -> dict[Log, str]:

@@ -94,8 +94,8 @@ def inherited(fit: FinalFit, terms: list[Term]) -> list[Term]:
         return terms
     pull = fit.posterior.pull
     owed = {cause: pull @ np.array(error) for cause, error in space.prior_owed}
-    known = np.array(list(owed.values())).reshape(-1, len(space))
-    before = root(positive(pull @ np.array(space.prior_systematic) @ pull.T - known.T @ known))
+    named_errors = np.array(list(owed.values())).reshape(-1, len(space))
+    before = root(positive(pull @ np.array(space.prior_systematic) @ pull.T - named_errors.T @ named_errors))
     shared = [term for term in terms if term.shared]
     errors = (np.eye(len(space)) - pull) @ np.concatenate(
         (*(term.errors for term in shared), np.zeros((len(space), 0))), axis=1

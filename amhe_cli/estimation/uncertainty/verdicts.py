@@ -140,12 +140,12 @@ def verdict_of(ledger: Ledger, i: int, own: Collection[str], *, misses: bool) ->
 
 def _reasons(space: ParameterSpace, evidence: Evidence, i: int) -> list[Reason]:
     """Why, the most important first: bound, misfit, then what of the variance counts, the largest first."""
-    name, found = space.names[i], _at_bound(space, evidence, i)
+    name, reasons = space.names[i], _at_bound(space, evidence, i)
     if not evidence.active[i]:
         text = f"{evidence.idle[name]}: not identifiable, held at its prior"
-        return [*found, Reason("idle", (name,), 1.0, text)]
+        return [*reasons, Reason("idle", (name,), 1.0, text)]
     for text in (*evidence.misfit, *evidence.blamed.get(name, ())):
-        found.append(Reason("misfit", (name,), 1.0, text))
+        reasons.append(Reason("misfit", (name,), 1.0, text))
     total, terms = float(evidence.ledger.covariance[i, i]), []
     ledger = evidence.ledger
     for variance, source in (*ledger.given(i), *ledger.given(i, (name,), doubted=True)):
@@ -153,23 +153,23 @@ def _reasons(space: ParameterSpace, evidence: Evidence, i: int) -> list[Reason]:
             kind = "prior" if source.parameter else "assumed"
             terms.append(Reason(kind, (name,), variance / total, _rests(space, i, variance, source)))
     terms += _of_terms(space, evidence, i, total)
-    found += sorted(terms, key=lambda reason: -reason.size)
-    if evidence.ledger.sd[i] > 1.0 - NOTHING and not any(reason.kind == "minimum" for reason in found):
+    reasons += sorted(terms, key=lambda reason: -reason.size)
+    if evidence.ledger.sd[i] > 1.0 - NOTHING and not any(reason.kind == "minimum" for reason in reasons):
         away = abs(float(evidence.z[i]))
         value = "the value is your prior" if away <= NOTHING else f"it is {away:.1f} prior sd from your prior"
-        found.append(Reason("open", (name,), away, f"the logs hardly narrow it down: {value}"))
+        reasons.append(Reason("open", (name,), away, f"the logs hardly narrow it down: {value}"))
     if values := evidence.means.get(name, ()):
-        found.append(Reason("together", values, 1.0, f"the common mean of {len(values)} values"))
-    return [*found, *_partners(space, evidence, i)]
+        reasons.append(Reason("together", values, 1.0, f"the common mean of {len(values)} values"))
+    return [*reasons, *_partners(space, evidence, i)]
 
 
 def _rests(space: ParameterSpace, i: int, variance: float, source: Source) -> str:
     """'given the force limit of servo, 0.77: known to 20 %, that leaves 20 % open'."""
     step = float(np.sqrt(variance))
     acts = "" if source.acts is None else f", which acts in {100.0 * source.acts:.2g} % of the steps"
-    known = f"known to {source.times()}, that" if source.times() else "that"
+    width = f"known to {source.times()}, that" if source.times() else "that"
     verb = "the logs speak against" if source.doubted else "given"
-    return f"{verb} {_given(source)}{acts}: {known} leaves {size(space, i, step).lstrip('+-')} open"
+    return f"{verb} {_given(source)}{acts}: {width} leaves {size(space, i, step).lstrip('+-')} open"
 
 
 def _given(source: Source) -> str:
@@ -178,7 +178,7 @@ def _given(source: Source) -> str:
 
 def _of_terms(space: ParameterSpace, evidence: Evidence, i: int, total: float) -> list[Reason]:
     """The terms but noise, priors and assumed values that hold a share of one parameter's variance."""
-    found, name, ledger = [], space.names[i], evidence.ledger
+    reasons, name, ledger = [], space.names[i], evidence.ledger
     for term in ledger.terms:
         share = float((term.errors[i] ** 2).sum()) / total
         if share <= COUNTS:
@@ -194,8 +194,8 @@ def _of_terms(space: ParameterSpace, evidence: Evidence, i: int, total: float) -
                 text = "the response is jagged: the value hangs on details of contact, and its sd is rough"
         else:
             continue
-        found.append(Reason(term.kind, (name,), share, text))
-    return found
+        reasons.append(Reason(term.kind, (name,), share, text))
+    return reasons
 
 
 _TEXTS = {

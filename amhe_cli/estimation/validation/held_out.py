@@ -23,15 +23,17 @@ from amhe_cli.estimation.core.information import gauss_newton_step, information
 from amhe_cli.estimation.core.result import Fit, HeldOut, SpanError
 from amhe_cli.estimation.offline.clips import ClipPool, clip_name
 from amhe_cli.estimation.offline.problem import FEWEST, Problem
+from amhe_cli.estimation.offline.search import SETTLED
 from amhe_cli.estimation.uncertainty.fit import FinalFit, scored
 from amhe_cli.matching.cost import MatchingCost, measures
 from amhe_cli.matching.windows import Observed
 
-#: Steps at most to the values that a held-out log has of its own, and the last of them, in sd.
-OWN_STEPS, OWN_SETTLED = 8, 0.3
-#: Ends of the spans over which errors are averaged [s], the clip's end being the last; shares of it where
-#: clips are shorter.
-SPANS, SHARES = (0.1, 0.25, 0.5), (0.25, 0.5)
+#: Most steps to the values that a held-out log has of its own.
+OWN_STEPS = 8
+#: Ends of the spans over which errors are averaged [s]; the clip's end is the last.
+SPANS = (0.1, 0.25, 0.5)
+#: These ends as shares of a clip that is shorter.
+SHARES = (0.25, 0.5)
 #: Residual sd of held-out clips over that of fitted ones from which a model does not carry over.
 CARRIES = 1.5
 #: Student's t that chance exceeds once in a thousand, by degrees of freedom.
@@ -44,7 +46,7 @@ SHOWN = 3
 
 
 def with_own_values(fit: FinalFit, windows: Sequence[Window]) -> tuple[list[Window], list[str]]:
-    """Held-out clips whose logs know the values that they have of their own, and these values in words.
+    """Held-out clips, their logs' own values fitted; and what these values are, in words.
 
     No fitted log has them: they are fitted as first states are, around the mean of the fitted logs' values,
     with the parameter's prior sd.
@@ -57,12 +59,12 @@ def with_own_values(fit: FinalFit, windows: Sequence[Window]) -> tuple[list[Wind
     model = problem.system.edits.space
     for log in {id(window.log): window.log for window in windows}.values():
         logs[id(log)] = log
-        if not (own := averaged(log, model, space)):
+        if not (groups := averaged(log, model, space)):
             continue
         cost = problem.cost([window for window in windows if window.log is log], fit.scale)
         first = problem.recorded(cost)
-        along, away = np.zeros((len(z), len(own))), np.zeros(len(own))
-        for column, members in enumerate(own.values()):
+        along, away = np.zeros((len(z), len(groups))), np.zeros(len(groups))
+        for column, members in enumerate(groups.values()):
             along[members, column] = 1.0  # all of them move their mean
         for _ in range(OWN_STEPS):
             at = space.clip(z + along @ away)
@@ -71,10 +73,10 @@ def with_own_values(fit: FinalFit, windows: Sequence[Window]) -> tuple[list[Wind
             )
             matrix, score = information(slopes).summed(np.ones(len(cost.clips.windows)))
             step, hessian = gauss_newton_step(
-                along.T @ matrix @ along, along.T @ score, np.eye(len(own)), away
+                along.T @ matrix @ along, along.T @ score, np.eye(len(groups)), away
             )
             away = away + step
-            if step @ hessian @ step < OWN_SETTLED**2:
+            if step @ hessian @ step < SETTLED**2:
                 break
         places = space.theta_of(space.clip(np.stack((z + along @ away, z))))
         fitted, mean = (
@@ -82,13 +84,13 @@ def with_own_values(fit: FinalFit, windows: Sequence[Window]) -> tuple[list[Wind
             for row in values_on(log, model, space, places)
         )
         logs[id(log)] = log.with_(
-            known=dict(log.known) | {name: fitted[name] for name in own},
-            own={name: owner for name, owner in log.own.items() if name not in own},
+            known=dict(log.known) | {name: fitted[name] for name in groups},
+            own={name: owner for name, owner in log.own.items() if name not in groups},
         )
         notes += [
             f"{log.source}: is held out and has its own {name}: predicted with {fitted[name]:.3g}, fitted to "
             f"it as its first states are; the mean of the fitted logs is {mean[name]:.3g}"
-            for name in own
+            for name in groups
         ]
     return [replace(window, log=logs[id(window.log)]) for window in windows], notes
 
@@ -113,7 +115,7 @@ def validate(fit: FinalFit, windows: Sequence[Window]) -> HeldOut | None:
     )
 
 
-def judge(fit: FinalFit, windows: Sequence[Window], known: HeldOut) -> tuple[HeldOut, tuple[str, ...]]:
+def judge(fit: FinalFit, windows: Sequence[Window], held_out: HeldOut) -> tuple[HeldOut, tuple[str, ...]]:
     """Score held-out clips as fitted ones are, and compare them with those, and with the values before.
 
     Returns:
@@ -123,7 +125,7 @@ def judge(fit: FinalFit, windows: Sequence[Window], known: HeldOut) -> tuple[Hel
     problem, places = fit.problem, (fit.z, np.zeros_like(fit.z))
     cost = problem.cost(windows, fit.scale)
     now, before = (scored(problem, cost, z, fit.shape) for z in places)
-    costs = [float(cost.as_declared(one.residuals)[0]) for one in (now, before)]
+    costs = [float(cost.as_declared(each.residuals)[0]) for each in (now, before)]
     against = []
     # residuals of wrong values repeat more: with a time of its own, each would count by another measure
     times = [max(pair) for pair in zip(now.times, before.times, strict=True)]
@@ -149,7 +151,7 @@ def judge(fit: FinalFit, windows: Sequence[Window], known: HeldOut) -> tuple[Hel
             against.append(
                 f"the model misses {key} of held-out clips {ratio:.1f} times as much as of fitted ones"
             )
-    errors = known.errors
+    errors = held_out.errors
     if problem.system.match == "effort":  # there are no first states
         costs = [math.nan, math.nan]
     else:
@@ -159,7 +161,7 @@ def judge(fit: FinalFit, windows: Sequence[Window], known: HeldOut) -> tuple[Hel
             for recorded, span in zip(errors, _spans(cost, tuple(both)), strict=True)
         )
     judged = replace(
-        known, fitted_cost=costs[0], initial_fitted_cost=costs[1], noise_scale=scale, errors=errors
+        held_out, fitted_cost=costs[0], initial_fitted_cost=costs[1], noise_scale=scale, errors=errors
     )
     return judged, tuple(against)
 
@@ -179,7 +181,7 @@ def _for_each_sample(loss: FloatArray, observed: Observed) -> FloatArray:
     return mean[np.isfinite(mean) & (count > 0)]
 
 
-def worse(rise: FloatArray, known: FloatArray, covariance: FloatArray, moved: FloatArray) -> bool:
+def worse(rise: FloatArray, information: FloatArray, covariance: FloatArray, moved: FloatArray) -> bool:
     """Whether clips fit worse than under the prior, by more than chance.
 
     Where the prior stands at the truth the estimate is worse by what its own sd costs, tr(M C) on average;
@@ -187,7 +189,7 @@ def worse(rise: FloatArray, known: FloatArray, covariance: FloatArray, moved: Fl
 
     Args:
         rise: Misfit now less that before of each clip, shape (c,), as of independent samples.
-        known: Information of each clip on z, shape (c, d, d).
+        information: Information of each clip on z, shape (c, d, d).
         covariance: Covariance of z by noise and prior alone, shape (d, d).
         moved: Distance between the values, shape (d,).
     """
@@ -196,8 +198,8 @@ def worse(rise: FloatArray, known: FloatArray, covariance: FloatArray, moved: Fl
         return True  # more clips diverge
     if not both.any():
         return False
-    allowed = SURPRISE**2 * float(np.einsum("cij,ji->", known[both], covariance))
-    noise = 4.0 * float(np.einsum("i,cij,j->", moved, known[both], moved))
+    allowed = SURPRISE**2 * float(np.einsum("cij,ji->", information[both], covariance))
+    noise = 4.0 * float(np.einsum("i,cij,j->", moved, information[both], moved))
     scatter = both.sum() * float(rise[both].var(ddof=1)) if both.sum() > 1 else 0.0
     return float(rise[both].sum()) > allowed + SURPRISE * np.sqrt(max(noise, scatter))
 
@@ -235,7 +237,7 @@ def _spans(cost: MatchingCost, residuals: Sequence[AnyArray]) -> Iterator[SpanEr
     if cost.system.match == "effort":  # each instant stands for itself
         spans = spans[:1]
     for observed, values in zip(cost.clips.observed, map(to_host, residuals), strict=True):
-        identified, initial = (_sizes(observed, one) for one in values)
+        identified, initial = (_sizes(observed, part) for part in values)
         time, key, unit = (observed.rows + 1) * dt, observed.channel.key, observed.channel.unit
         for start, end in spans:
             inside = observed.mask & (time > start) & (time <= end + 0.5 * dt)
@@ -264,7 +266,7 @@ def fits(problem: Problem, z: FloatArray, windows: Sequence[Window], held_out: b
     cost = MatchingCost(problem.system, chosen, problem.engine, problem.settings.cost)
     predicted = cost.predict(np.stack((np.zeros_like(z), z)))
     return tuple(
-        fit_of(observed, values[:, i], window, i, held_out, [one.key for one in problem.system.inputs])
+        fit_of(observed, values[:, i], window, i, held_out, [source.key for source in problem.system.inputs])
         for i, window in enumerate(chosen)
         for observed, values in zip(cost.clips.observed, map(to_host, predicted.values), strict=True)
         if observed.mask[i].any()
@@ -303,8 +305,8 @@ def fit_of(
         held_out=held_out,
         inputs=tuple(
             (f"{key} {name}", values)
-            for key, one in zip(inputs, driven, strict=True)
-            for name, values in zip(one.columns, one.values[rows].T, strict=False)
+            for key, series in zip(inputs, driven, strict=True)
+            for name, values in zip(series.columns, series.values[rows].T, strict=False)
         ),
     )
 

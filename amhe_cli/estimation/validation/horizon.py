@@ -34,8 +34,12 @@ _LAST = 0.1
 _LENGTHS = ("rad", "m", "rad or m")
 
 
-#: Resamples of the clips, ends of the interval, and the fewest clips that can tell.
-RESAMPLES, ENDS, FEWEST = 2000, (2.5, 97.5), 4
+#: Resamples of the clips.
+RESAMPLES = 2000
+#: Ends of the interval [%].
+ENDS = (2.5, 97.5)
+#: The fewest clips that can tell two models apart.
+FEWEST = 4
 #: One over degrees of freedom, and by how much Student's 95 % interval is wider than a normal one.
 STUDENT = (0.0, 1 / 20, 1 / 10, 1 / 5, 1 / 3), (1.0, 1.064, 1.137, 1.312, 1.624)
 #: A diverged prediction counts as one that is off by so many times the usual error.
@@ -83,27 +87,27 @@ def starts(system: System, windows: Sequence[Window], horizon: float) -> list[Wi
 
 def horizon_errors(problem: Problem, windows: Sequence[Window], z: FloatArray) -> tuple[HorizonError, ...]:
     """Errors of an estimate z (d,) and of the prior's mean at each horizon, on clips that were not fitted."""
-    found = []
+    rows = []
     places, longest = np.stack((np.zeros_like(z), z)), max(part.duration for part in stretches(windows))
     for horizon in (*(h for h in HORIZONS if h < longest), np.inf):
         if not (clips := starts(problem.system, windows, horizon)):
             continue
-        for one in clip_errors(problem.cost(clips), places):
-            initial, identified = (_rms(errors) for errors in one.errors)
-            found.append(
+        for row in clip_errors(problem.cost(clips), places):
+            initial, identified = (_rms(errors) for errors in row.errors)
+            rows.append(
                 HorizonError(
-                    channel=one.channel,
-                    column=one.column,
-                    unit=one.unit,
+                    channel=row.channel,
+                    column=row.column,
+                    unit=row.unit,
                     horizon=min(horizon, max(clip.duration for clip in clips)),
                     to_end=horizon == np.inf,
                     clips=len(clips),
-                    moved=_rms(one.moved),
+                    moved=_rms(row.moved),
                     initial=initial,
                     identified=identified,
                 )
             )
-    return tuple(found)
+    return tuple(rows)
 
 
 def errors_of(system: System, windows: Sequence[Window], engine: Engine, z: FloatArray) -> list[ClipErrors]:
@@ -127,12 +131,12 @@ def clip_errors(cost: MatchingCost, z: FloatArray) -> Iterator[ClipErrors]:
             errors = np.array([_rms_of(one, late) for one in size])
             errors = np.where(residuals.completed, errors, np.inf)
             turned = observed.channel.kind == "rotation"
-            own = (
+            travelled = (
                 np.full(len(lengths), np.nan)
                 if turned
                 else _rms_of(np.linalg.norm(moved[..., columns], axis=-1), late)
             )
-            yield ClipErrors(observed.channel.key, name, unit, errors, own)
+            yield ClipErrors(observed.channel.key, name, unit, errors, travelled)
 
 
 def _columns(cost: MatchingCost, observed: Observed) -> Iterator[tuple[str, str, list[int]]]:
@@ -162,8 +166,8 @@ def _rms_of(size: FloatArray, inside: BoolArray) -> FloatArray:
 
 
 def _rms(values: FloatArray) -> float:
-    known = values[~np.isnan(values)]
-    return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
+    measured = values[~np.isnan(values)]
+    return float(np.sqrt(np.mean(measured**2))) if measured.size else float("nan")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -186,21 +190,21 @@ class Compared:
 
 
 def at_horizon(
-    horizon: float, to_end: bool, found: Sequence[Sequence[ClipErrors]], rng: np.random.Generator
+    horizon: float, to_end: bool, of_systems: Sequence[Sequence[ClipErrors]], rng: np.random.Generator
 ) -> AtHorizon:
     """Compare the errors of each system, those of the joints and poses that all of them predict.
 
     Args:
         horizon, to_end: See `AtHorizon`.
-        found: Errors of each system on the same clips; the first candidate's count.
+        of_systems: Errors of each system on the same clips; the first candidate's count.
         rng: Generator of the resamples.
     """
-    by_name = [{(one.channel, one.column, one.unit): one.errors[0] for one in each} for each in found]
+    by_name = [{(one.channel, one.column, one.unit): one.errors[0] for one in each} for each in of_systems]
     common = [key for key in by_name[0] if all(key in each for each in by_name)]
     errors = np.array([[each[key] for key in common] for each in by_name])
-    errors = errors.reshape(len(found), len(common), -1 if common else 0)  # (m, k, c)
-    known = ~np.isnan(errors).any(axis=(0, 1))
-    errors = errors[:, :, known]
+    errors = errors.reshape(len(of_systems), len(common), -1 if common else 0)  # (m, k, c)
+    measured = ~np.isnan(errors).any(axis=(0, 1))
+    errors = errors[:, :, measured]
     finite = np.isfinite(errors)
     total = np.sum(np.where(finite, errors, 0.0) ** 2, axis=(0, 2), keepdims=True)
     usual = np.sqrt(total / np.maximum(finite.sum(axis=(0, 2), keepdims=True), 1))
@@ -231,25 +235,24 @@ def at_horizon(
     )
 
 
-def best_of(found: Sequence[AtHorizon]) -> int:
+def best_of(horizons: Sequence[AtHorizon]) -> int:
     """The system whose errors are smallest, in the mean of their logarithms over the horizons."""
-    telling = (
-        [one for one in found if one.clips >= FEWEST] or [one for one in found if one.clips] or list(found)
-    )
-    return int(np.mean([np.log(one.ratios).mean(axis=1) for one in telling], axis=0).argmin())
+    few = [at for at in horizons if at.clips]
+    telling = [at for at in few if at.clips >= FEWEST] or few or list(horizons)
+    return int(np.mean([np.log(at.ratios).mean(axis=1) for at in telling], axis=0).argmin())
 
 
-def simplest_of(found: Sequence[AtHorizon], sizes: Sequence[int]) -> int:
+def simplest_of(horizons: Sequence[AtHorizon], sizes: Sequence[int]) -> int:
     """The smallest model that is within one standard error of the best.
 
     The standard error is that of the paired difference, in the mean over the horizons, from the interval of
     the bootstrap.
 
     Args:
-        found: Errors at each horizon.
+        horizons: Errors at each horizon.
         sizes: Number of parameters of each model.
     """
-    best, telling = best_of(found), [one for one in found if one.clips >= FEWEST]
+    best, telling = best_of(horizons), [one for one in horizons if one.clips >= FEWEST]
     within = np.zeros(len(sizes), dtype=bool)
     within[best] = True
     if telling:
@@ -259,15 +262,15 @@ def simplest_of(found: Sequence[AtHorizon], sizes: Sequence[int]) -> int:
     return min(map(int, np.flatnonzero(within)), key=lambda i: (sizes[i], i != best))
 
 
-def improves(found: Sequence[AtHorizon], one: int, other: int) -> bool:
+def improves(horizons: Sequence[AtHorizon], one: int, other: int) -> bool:
     """Whether a system predicts better than another by more than chance, and nowhere worse.
 
     It is one test over the horizons together, since each more would be one more chance to err.
     The mean of the logarithms of its ratios, each with weight 1 / sd^2, must be below 0 by as many sd as an
     interval is wide. The horizons look at the same clips: their errors are taken to go up and down together.
     """
-    telling = [at for at in found if at.clips >= FEWEST and np.isfinite(at.upper[one, other])]
-    if not telling or any(at.better(other, one) for at in found):
+    telling = [at for at in horizons if at.clips >= FEWEST and np.isfinite(at.upper[one, other])]
+    if not telling or any(at.better(other, one) for at in horizons):
         return False
     logs, upper = (np.log([each[one, other] for each in arrays]) for arrays in (
         [at.ratios for at in telling], [at.upper for at in telling]
@@ -276,13 +279,13 @@ def improves(found: Sequence[AtHorizon], one: int, other: int) -> bool:
     return bool((upper / width**2).sum() < 0.0)
 
 
-def verdict(found: Sequence[AtHorizon], names: Sequence[str], best: int, other: int) -> str:
+def verdict(horizons: Sequence[AtHorizon], names: Sequence[str], best: int, other: int) -> str:
     """What the logs say of the best system against another one, in words."""
     one, two = names[best], names[other]
-    wins = [at for at in found if at.better(best, other)]
-    losses = [at for at in found if at.better(other, best)]
-    if improves(found, best, other):
-        telling = wins or [at for at in found if at.clips >= FEWEST]
+    wins = [at for at in horizons if at.better(best, other)]
+    losses = [at for at in horizons if at.better(other, best)]
+    if improves(horizons, best, other):
+        telling = wins or [at for at in horizons if at.clips >= FEWEST]
         sizes = _listed([f"{1.0 - at.ratios[best, other]:.0%} after {at.horizon:.3g} s" for at in telling])
         return f"{one} predicts better than {two}: its error is smaller by {sizes}"
     if wins and not losses:
@@ -295,7 +298,7 @@ def verdict(found: Sequence[AtHorizon], names: Sequence[str], best: int, other: 
     if losses:
         sizes = _listed([f"{1.0 - at.ratios[other, best]:.0%} after {at.horizon:.3g} s" for at in losses])
         return f"{two} predicts better than {one}: its error is smaller by {sizes}"
-    if all(at.clips < FEWEST for at in found):
+    if all(at.clips < FEWEST for at in horizons):
         return f"the logs cannot tell {one} from {two}: fewer than {FEWEST} clips were held out"
     return f"the logs cannot tell {one} from {two}: their errors differ by no more than chance"
 
