@@ -2,8 +2,8 @@
 
 Measured efforts pass a low-pass, symmetric in time, that leaves the band of the motion as it is, and are
 taken at its rate: neighbours do not repeat each other. Errors of the motion count as noise of the efforts.
-Where a joint with dry friction turns over, or stands, nothing says what its friction is: there it is not
-compared.
+Where a joint with dry friction turns over, is slow or stands, nothing says what its friction is: it is not
+compared there.
 """
 
 from __future__ import annotations
@@ -28,8 +28,9 @@ from amhe_cli.system.system import System
 _RATE = 6.0
 #: Half the length of the low-pass, in samples that it leaves.
 _REACH = 4
-#: Dry friction turns over within this time of the joint [s]; how, differs from joint to joint.
-_TURN = 0.01
+#: Dry friction turns over within this time of the joint [s], and below this share of its rms speed; how,
+#: differs from joint to joint: of published arms it sets in over 0.1 to 0.4 rad/s.
+_TURN, _SLOW = 0.01, 0.1
 #: Dry friction counts as known where this share of it acts, and it is known when.
 _ACTS, _KNOWN = 0.9, 0.1
 #: Noise that an effort has at least, as a share of its range.
@@ -101,7 +102,8 @@ def _path(key: _Key, log: Log) -> EffortPath:
             found.append(lowpassed(sign, places, step))
     rows, dry, other = np.concatenate(at), np.concatenate(now), np.concatenate(later)
     rubs = (model.dof_frictionloss > 0.0) | ("dof_frictionloss" in system.edits.fields)
-    known = (np.abs(dry) > _ACTS) & (np.abs(dry - other) < _KNOWN) | ~rubs
+    slow = np.abs(motion.qvel[rows]) < _SLOW * np.sqrt((motion.qvel**2).mean(axis=0))
+    known = (np.abs(dry) > _ACTS) & (np.abs(dry - other) < _KNOWN) & ~slow | ~rubs
     variance = effort_variance(model, motion.qpos[rows], motion.qvel[rows], motion.qacc[rows], motion.sd)
     every = step * round(motion.step / log.dt)
     return EffortPath(motion.rows[rows], motion, rows, dry, known, variance, every)

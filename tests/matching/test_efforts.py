@@ -14,6 +14,7 @@ from amhe_cli.engine.inverse import forces_along, linear_in
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline.clips import whole
 from amhe_cli.matching.cost import MatchingCost
+from amhe_cli.matching.efforts import path_of
 from amhe_cli.system.system import System
 
 DT = 0.002
@@ -128,6 +129,21 @@ def test_the_truth_is_found_within_its_intervals(system):
         assert set(found.found.noise_scale) == {"torque.effort of a", "torque.effort of b"}
         assert all(0.8 < scale < 1.2 for scale in found.found.noise_scale.values())
     assert len(outside) <= 0.25 * 4 * len(system.space)
+
+
+@pytest.mark.parametrize("wide", [0.0, 2e-3])
+def test_efforts_of_slow_joints_are_not_compared_however_far_their_motion_reaches(system, wide):
+    """Dry friction sets in gradually there, of every joint in another way."""
+    log = recorded(system, truth(system))
+    series, moved = dict(log.series), log["joints.position"]
+    ripple = wide * np.sin(2 * np.pi * 9.0 * DT * np.arange(log.steps + 1))[:, None]
+    series["joints.position"] = replace(moved, values=moved.values + ripple[: len(moved.values)])
+    log = replace(log, series=series)
+    found = path_of(system, log)
+    assert (found.motion.band.max() > 9.0) == bool(wide)
+    speed = np.abs(found.motion.qvel)
+    slow = speed[found.at] < 0.1 * np.sqrt((speed**2).mean(axis=0))
+    assert slow.any() and not found.known[slow].any() and found.known.mean() > 0.8
 
 
 def test_models_are_compared_by_their_efforts(system):
