@@ -229,7 +229,9 @@ def weighed(
     began = time.process_time()
     result = amhe.identify(system, replace(amhe.read_log(log, system), known=known), prior=belief, threads=1)
     mass = result.parameters["load_mass"]
-    print(f"{log.stem}: {mass.estimate:.3f} ({mass.lower:.3f} to {mass.upper:.3f}) {mass.verdict}", flush=True)
+    print(
+        f"{log.stem}: {mass.estimate:.3f} ({mass.lower:.3f} to {mass.upper:.3f}) {mass.verdict}", flush=True
+    )
     return {
         "log": log.stem,
         "estimate": mass.estimate,
