@@ -22,34 +22,28 @@ DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS.parent))
 from tests.view.browser import Browser, browser  # noqa: E402
 
-#: Chooses a clip, and a share of its time; chooses a channel.
+#: Chooses a clip, and a share of its time.
 CLIP = (
     "const take = player.takes[{}]; player.choose(take); "
     "player.seek(take.start + {} * (take.stop - take.start))"
 )
-CHANNEL = "document.getElementById('channel').value = '{}'; player.panels(); player.redraw()"
 #: Leaves one section of a report.
 ALONE = (
     "document.body.replaceChildren(document.getElementById('{}')); document.body.style.padding = '0 24px'; "
     "document.querySelector('section').style.margin = 0"
 )
-#: Picture -> page, width, height, dark, and what is done on the page before.
+#: Picture -> page, width, height, and what is done on the page before.
 PICTURES = {
-    "push": ("run", 1280, 900, False, "player.seek(7.4)"),
-    "push-dark": ("t1", 1280, 900, True, f"{CLIP.format(0, 0.9)}; {CHANNEL.format('box.position')}"),
-    "result": ("found", 1280, 900, False, CLIP.format(0, 0.7)),
-    "result-dark": ("found", 1280, 900, True, CLIP.format(2, 0.5)),
+    "push": ("run", 1280, 900, "player.seek(7.4)"),
+    "result": ("found", 1280, 900, CLIP.format(0, 0.7)),
     "distance": (
         "t1",
         1280,
         900,
-        False,
         f"{CLIP.format(0, 0.9)}; document.getElementById('distance').click()",
     ),
-    "whole": ("replay", 1280, 900, False, "player.next(); player.next()"),
-    "tool": ("pusher", 1280, 880, False, CLIP.format(0, 0.8)),
-    "result-narrow": ("found", 390, 844, False, CLIP.format(0, 0.7)),
-    "result-narrow-dark": ("found", 390, 844, True, f"{CLIP.format(0, 0.7)}; scrollTo(0, 9999)"),
+    "whole": ("replay", 1280, 900, "player.next(); player.next()"),
+    "tool": ("pusher", 1280, 880, CLIP.format(0, 0.8)),
 }
 
 
@@ -58,16 +52,16 @@ def main() -> None:
     with TemporaryDirectory(ignore_cleanup_errors=True) as scratch, browser(Path(scratch)) as one:
         folder = Path(scratch)
         command("identify", "example:pendulum", "-o", folder / "found")
-        command("run", "--task", "t4", "--duration", "9", "-o", folder / "run")
+        command("run", "--task", "t4", "--seconds", "9", "-o", folder / "run")
         command("mhe-replay", "example:t4", "-o", folder / "replay")
         one.open((folder / "replay" / "report.html").as_uri(), 1180, 310)
         take(one, "replay", ALONE.format("estimates"))
         for name in ("found", "run", "replay"):
-            command("view", folder / name, "--save", folder / f"{name}.html")
+            command("view", folder / name, "-o", folder / f"{name}.html")
         for name in ("t1", "pusher"):
             true_ghost(name).save(folder / f"{name}.html")
-        for picture, (page, width, height, dark, script) in PICTURES.items():
-            one.open((folder / f"{page}.html").as_uri(), width, height, dark)
+        for picture, (page, width, height, script) in PICTURES.items():
+            one.open((folder / f"{page}.html").as_uri(), width, height)
             take(one, picture, script)
         with watched("run", "--task", "t4", "-o", folder / "live") as process:
             line = next(line for line in process.stderr or () if "http://" in line)

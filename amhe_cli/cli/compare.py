@@ -13,7 +13,6 @@ from amhe_cli.cli.kinds import LOG, each_episode, episodes
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
-    from amhe_cli.cli.progress import Shown
     from amhe_cli.system.system import System
 
 
@@ -47,7 +46,7 @@ def compare(session: Session, given: Given) -> None:
     Writes result.json and report.html, and the files of each identification in a folder of its name.
     """
     from amhe_cli.api.compare import compare as run
-    from amhe_cli.cli.progress import progress
+    from amhe_cli.cli.progress import of_words, progress
     from amhe_cli.report.comparison import comparison_table
     from amhe_cli.report.tables import rich_table
 
@@ -61,7 +60,7 @@ def compare(session: Session, given: Given) -> None:
     pairs = list(zip(inputs, systems, strict=True))
     read = [one.read(system, logs) for one, system in pairs]
     scored = [one.read(system, given.held_out) for one, system in pairs] if given.held_out else None
-    with progress(session, "compare", _shown) as show:
+    with progress(session, "compare", of_words) as show:
         how = given.pick("seed", "threads", "engine", "max_time")
         found = run(systems, read, held_out=scored, simplest=given.friction, progress=show, **how)
     record = session.record(**found.record(), out=str(folder))
@@ -85,10 +84,6 @@ def _parted(given: Sequence[str]) -> tuple[list[str], list[Path]]:
     files = [name for name in given if name not in known and Path(name).exists()]
     logs = [name for name in files if not (Path(name) / "system.yaml").is_file()]
     return [name for name in given if name not in logs], [Path(name) for name in logs]
-
-
-def _shown(text: str) -> Shown:
-    return text, 0, None
 
 
 def _with_frictions(systems: Sequence[System]) -> list[System]:

@@ -9,7 +9,7 @@ import click
 
 from amhe_cli.cli import options
 from amhe_cli.cli.command import Given, command, option
-from amhe_cli.cli.progress import Shown, progress
+from amhe_cli.cli.progress import of_messages, progress
 from amhe_cli.cli.session import UNREADABLE, Session
 
 if TYPE_CHECKING:
@@ -118,15 +118,11 @@ def convert(session: Session, given: Given) -> None:
     system = System.load(given.system) if given.system else None
     how = given.pick("topics", "msg_path", "force")
     for log, place in zip(logs, places, strict=True):
-        with progress(session, log.name, _shown) as show:
+        with progress(session, log.name, of_messages) as show:
             run(log, place, system, progress=show, **how)
         if not session.json:
             print(f"wrote {place}")
     session.gave(session.record(files=[str(place) for place in places]))
-
-
-def _shown(count: int) -> Shown:
-    return f"{count:,} messages read", count, None
 
 
 def _name(log: Path) -> str:

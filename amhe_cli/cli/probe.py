@@ -13,7 +13,6 @@ from amhe_cli.cli.kinds import Number
 from amhe_cli.cli.session import Session, stopping
 
 if TYPE_CHECKING:
-    from amhe_cli.cli.progress import Shown
     from amhe_cli.estimation.design.design import Accuracy, ProbePlan
     from amhe_cli.estimation.design.probe import Probe, ProbeOptions, Say
 
@@ -70,7 +69,7 @@ def probe(session: Session, given: Given) -> None:
     draws of the prior, reach no limit of joints, speed or force, and touch nothing. On a real Go1 (--target
     go1: read docs/go1.md first) it is all planned before anything is sent.
     """
-    from amhe_cli.cli.progress import progress
+    from amhe_cli.cli.progress import of_words, progress
     from amhe_cli.core.files import filling, json_text, plain
     from amhe_cli.estimation.design.design import known_record, plan_record
     from amhe_cli.estimation.design.playback import log_name
@@ -97,7 +96,7 @@ def probe(session: Session, given: Given) -> None:
     opened = open_probe(chosen, robot)
     log = log_name(opened.system.signals)
     findings = said_before(opened.system, (), None if session.json else session.console())
-    say = click.get_current_context().with_resource(progress(session, "probe", _shown))
+    say = click.get_current_context().with_resource(progress(session, "probe", of_words))
     plan = opened.design(say)
     inputs = [Path(path) for path in (belief, given.plant) if path and Path(path).is_file()]
     about = {
@@ -151,7 +150,3 @@ def _played(
         except KeyboardInterrupt:  # it must not cost the log
             session.interrupted = True
     return ending.error, known
-
-
-def _shown(text: str) -> Shown:
-    return text, 0.0, None

@@ -52,6 +52,16 @@ def progress(
         yield _lines(session, shown, 0.0 if every else PLAIN_PERIOD)
 
 
+def of_words(state: str) -> Shown:
+    """What is shown of a state in words."""
+    return state, 0.0, None
+
+
+def of_messages(count: int) -> Shown:
+    """What is shown of a number of messages."""
+    return f"{count:,} messages", count, None
+
+
 def of_search(item: tuple[Iteration, int]) -> Shown:
     """What is shown of an iteration of a search, and of how many there will be about."""
     iteration, total = item

@@ -10,7 +10,7 @@ import click
 from amhe_cli.cli import options
 from amhe_cli.cli.command import Given, command, option
 from amhe_cli.cli.kinds import NewFile
-from amhe_cli.cli.progress import Shown, progress
+from amhe_cli.cli.progress import of_messages, progress
 from amhe_cli.cli.session import Session, stopping
 
 
@@ -57,7 +57,7 @@ def record(session: Session, given: Given) -> None:
         stopping(session) as stopped,
         closing(transport),
         LogWriter(out, about) as log,
-        progress(session, "record", _shown) as show,
+        progress(session, "record", of_messages) as show,
     ):
         end = time.monotonic() + (given.seconds or float("inf"))
         while not (stopped() or transport.over or time.monotonic() > end):
@@ -74,7 +74,3 @@ def record(session: Session, given: Given) -> None:
         return
     listed = ", ".join(f"{topic} {count:,}" for topic, count in sorted(counts.items()))
     session.console().print(f"{listed or 'no message came'}\nwritten to {out}", soft_wrap=True)
-
-
-def _shown(count: int) -> Shown:
-    return f"{count:,} messages", count, None

@@ -30,7 +30,7 @@ from amhe_cli.report.identification import (
     print_identification,
     write_identification,
 )
-from amhe_cli.report.identification_page import Beside, identification_page, statements
+from amhe_cli.report.identification_page import ALONE, Beside, identification_page, statements
 from amhe_cli.system.system import System
 from tests.report.synthetic import fit, identification, parameter
 from tests.view.browser import browser, needs_chromium
@@ -53,10 +53,10 @@ PLAIN: dict[str, Any] = {"fits": (), "iterations": ()}
 TRUTH = {"load_mass": 0.74, "damping": 0.06, "another": 1.0}
 
 
-def page(result: Identification, warnings: tuple[str, ...] = ()) -> str:
+def page(result: Identification, warnings: tuple[str, ...] = (), seen: Beside = ALONE) -> str:
     common = {"command": "identify", "version": "0.1.0", "seconds": 1.5, "warnings": list(warnings)}
     record = common | identification_record(result, TRUTH)
-    return identification_page(result, record, ORIGIN)
+    return identification_page(result, record, ORIGIN, seen)
 
 
 def stated(result: Identification) -> str:

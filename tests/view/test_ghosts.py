@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,11 +11,13 @@ import numpy as np
 import pytest
 
 import amhe_cli as amhe
+from amhe_cli.core.belief import belief_of
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.rotations import exp
 from amhe_cli.core.shown import TimeCurve
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline.clips import whole
+from amhe_cli.report.identification_page import Beside
 from amhe_cli.view.ghosts import Viewing, continued, viewing
 from amhe_cli.view.open import view_of
 from amhe_cli.view.page import Heading, saved_page
@@ -22,6 +25,8 @@ from amhe_cli.view.scene import scene_of
 from amhe_cli.view.shapes import Shape, decimated, shape_of
 from tests.conftest import PENDULUM_TRUTH, write_pendulum_log
 from tests.matching.test_efforts import recorded, system_of
+from tests.report.synthetic import identification
+from tests.report.test_identification import page as report_of
 
 
 @pytest.fixture(scope="module")
@@ -303,3 +308,15 @@ def test_matched_efforts_are_ghosts_that_move_as_measured() -> None:
     assert found.again(found.takes[0], theta)[1] == pytest.approx(found.takes[0].costs[1])
     notes = view_of(system, [log]).heading.notes
     assert any("along the measured motion" in note for note in notes)
+
+
+@pytest.mark.medium
+def test_the_demos_pages_are_light() -> None:
+    system = amhe.System.load("go1_push")
+    log = amhe.read_log("example:t1", system)
+    truth = json.loads(log.metadata["truth"])
+    z = system.space.z_of(np.array([truth[name] for name in system.space.names]))
+    view = view_of(system, [log], belief=belief_of(system, z, 1e-4 * np.eye(len(z))), fitted=True)
+    assert len(view.page().encode()) < 1_500_000
+    seen = Beside(view.strip(0), view.whole_log())
+    assert len(report_of(identification(), seen=seen).encode()) < 600_000
