@@ -132,6 +132,7 @@ def test_an_assumed_value_that_is_off_moves_the_plant_and_not_the_model(sbc, cas
     assert gains[0] == pytest.approx(system.model.actuator_gainprm[0, 0]) and gains[1] != gains[0]
 
 
+@pytest.mark.medium
 def test_a_trial_ranks_the_truth_in_its_posterior(sbc) -> None:
     result = sbc.trial("pendulum", False, 0)
     t = np.array(result["error"]) / result["sd"]

@@ -61,8 +61,9 @@ def test_a_free_body_without_a_name_of_its_joint_has_no_joint_to_move() -> None:
     assert motions(free, [log]) == ()
 
 
+@pytest.mark.medium
 def test_the_command_says_what_to_expect(capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["check", MODEL, str(LOG), "--system", "pendulum", "--json"]
+    arguments = ["check", MODEL, str(LOG), "--system", "pendulum", "--json", "--to", "5"]
     assert run([*arguments, "--require", "load_mass<5%"]) == 0
     record = json.loads(capsys.readouterr().out)
     assert {one["name"] for one in record["expected"]} == {
@@ -82,6 +83,7 @@ SERVO = """<mujoco><worldbody><geom type="plane" size="1 1 .1"/><body name="rod"
 <actuator><position name="servo" joint="hinge" kp="20" forcerange="-1 1"/></actuator></mujoco>"""
 
 
+@pytest.mark.medium
 def test_what_is_wrong_with_a_recording_stands_in_the_list(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

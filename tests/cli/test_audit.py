@@ -79,6 +79,7 @@ def test_the_written_file_has_the_numbers_of_the_log(audited) -> None:
     assert (folder / "report.html").is_file()
 
 
+@pytest.mark.medium
 def test_names_choose_what_is_written(tmp_path: Path) -> None:
     model, log = spoilt(tmp_path)
     out = tmp_path / "out"
@@ -116,6 +117,7 @@ def test_two_files(tmp_path: Path, capsys) -> None:
     assert [(d["of"], d["what"]) for d in record["differences"]] == [("upper", "mass")]
 
 
+@pytest.mark.medium
 def test_a_result_against_a_file(pendulum_log: Path, tmp_path: Path, capsys) -> None:
     scene = ROOT / "models" / "pendulum" / "scene.xml"
     folder = tmp_path / "found"

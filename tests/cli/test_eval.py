@@ -93,6 +93,7 @@ def test_what_is_done_is_not_run_again(done: Path, capsys) -> None:
     assert cells_of(Path("out")) == cells_of(done)
 
 
+@pytest.mark.medium
 def test_the_report_is_made_again_of_the_cells_alone(done: Path, capsys) -> None:
     Path("out").mkdir()
     shutil.copytree(done / "cells", "out/cells")
@@ -272,6 +273,7 @@ def test_a_setting_that_does_nothing_is_not_ablated() -> None:
         list(planned(options, study_of(options, "", "", {})))
 
 
+@pytest.mark.medium
 def test_the_papers_seven_have_their_own_symbols_and_a_value_at_the_operating_point() -> None:
     symbols = ["L_MHE=9", "B=9", "dt_update=0.9", "H=0.9", "alpha=0.9", "w_mass=0.9", "w_friction=0.9"]
     options = EvalOptions(["t4"], [], 1, ablations=symbols, settings={"mhe": {"method": "logrank"}})

@@ -86,6 +86,7 @@ def test_the_belief_says_where_it_came_from(done: Path, pendulum_log: Path) -> N
     assert {"amhe", "mujoco"} <= set(origin["versions"])
 
 
+@pytest.mark.medium
 def test_a_model_needs_no_system_folder(pendulum_log: Path, tmp_path: Path) -> None:
     out, again = tmp_path / "out", tmp_path / "again"
     quiet, model = ("-q", *QUICK), ("--model", str(ROOT / "models" / "pendulum" / "scene.xml"))
@@ -121,6 +122,7 @@ def test_what_is_wrong_before_the_fit_is_said_first_and_kept(
     assert run([*arguments, "--force", "--require", "no_such<5%"]) == 2
 
 
+@pytest.mark.medium
 def test_the_belief_is_a_prior_for_the_next_run(done: Path, pendulum_log: Path, capsys) -> None:
     arguments = ["identify", str(pendulum_log), "--belief", str(done / "belief.yaml"), "-q", "--json", *QUICK]
     assert run(arguments) == 0

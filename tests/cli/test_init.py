@@ -132,6 +132,7 @@ def test_a_model_of_the_menagerie(pendulum_log: Path, tmp_path: Path, capsys, mo
     assert "pip install 'amhe[robots]'" in capsys.readouterr().err
 
 
+@pytest.mark.medium
 def test_a_model_of_the_menagerie_without_a_network(
     pendulum_log: Path, tmp_path: Path, capsys, monkeypatch
 ) -> None:
@@ -143,6 +144,7 @@ def test_a_model_of_the_menagerie_without_a_network(
     assert f"offline, copy the folder {tmp_path}/cache/models/unitree_go2-" in printed
 
 
+@pytest.mark.medium
 def test_the_commands_of_the_docs_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pendulum_log: Path
 ) -> None:

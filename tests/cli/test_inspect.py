@@ -86,6 +86,7 @@ ARM = """<mujoco><option timestep="0.002"/><default><geom contype="0" conaffinit
 </mujoco>"""
 
 
+@pytest.mark.medium
 def test_a_sign_is_named_before_a_fit_and_mended_by_one_key(tmp_path: Path, capsys) -> None:
     """A motor's voltage, and joints in columns of their own names, one with the other sign."""
     model = mujoco.MjModel.from_xml_string(ARM)

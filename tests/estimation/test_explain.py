@@ -123,6 +123,7 @@ def _times(log: amhe.Log, **factors: float) -> amhe.Log:
     return replace(log, series=series)
 
 
+@pytest.mark.medium
 def test_a_log_with_the_other_sign_is_named_with_what_the_data_cannot_tell_from_it(
     pendulum: tuple[amhe.System, amhe.Log],
 ) -> None:
@@ -149,6 +150,7 @@ def test_what_touches_is_not_looked_at_and_that_is_said(pendulum: tuple[amhe.Sys
     assert "nothing touches" not in rest(forced(system, [whole(log)], z, rng, 0))
 
 
+@pytest.mark.medium
 def test_degrees_are_named(pendulum: tuple[amhe.System, amhe.Log]) -> None:
     system, log = pendulum
 
@@ -194,6 +196,7 @@ def test_what_lets_a_model_have_a_cause_is_valid(pendulum: tuple[amhe.System, am
     assert kinds == expected | {"quadratic", "gain", "servo limit", "constant", "sine"}
 
 
+@pytest.mark.medium
 def test_late_commands_are_named_with_their_delay(pendulum: tuple[amhe.System, amhe.Log]) -> None:
     system, log = pendulum
     series = dict(log.series)
@@ -255,6 +258,7 @@ def test_a_spring_is_named_with_its_stiffness_and_rest(sprung: tuple[amhe.System
     assert found.tested > 50
 
 
+@pytest.mark.medium
 def test_identify_says_what_the_model_lacks(sprung: tuple[amhe.System, amhe.Log], tmp_path: Path) -> None:
     system, log = sprung
 

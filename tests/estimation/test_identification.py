@@ -339,6 +339,7 @@ def test_a_search_cut_short_says_so_and_widens(pendulum, swing, caplog):
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "cube_tosses"
 
 
+@pytest.mark.medium
 @pytest.mark.skipif(not DATA.is_dir(), reason="the real tosses (../shared/data/cube_tosses) are not here")
 def test_real_tosses_tell_friction_and_not_mass():
     system = System.load(

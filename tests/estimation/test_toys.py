@@ -212,6 +212,7 @@ def heavier(after: float) -> Callable[[mujoco.MjModel, float], None]:
     return change
 
 
+@pytest.mark.medium
 def test_a_load_that_changes_in_mid_log_is_found(cart) -> None:
     push = multisine(1, 1.0)
     log = arrays(CART, lambda t: (push(t), 0.0), 24.0, change=heavier(12.0))
@@ -280,6 +281,7 @@ def test_a_ridge_is_as_narrow_as_its_product_is_known(motors) -> None:
     assert {p.verdict for p in result.parameters.values()} <= {"weak", "prior"}
 
 
+@pytest.mark.medium
 def test_a_contradicted_factor_leaves_the_product_alone(motors) -> None:
     """On the second day the measured motor is a fifth weaker: the mass is in doubt, gain / mass is not."""
     loose = by_loose_motor(motors)

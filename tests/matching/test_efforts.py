@@ -209,6 +209,7 @@ def test_what_grows_with_load_is_found_in_efforts():
     assert abs(found.estimate - k) < 3.0 * found.sd < 0.06
 
 
+@pytest.mark.medium
 def test_both_count_each_look_at_a_log_half():
     only = {name: PARAMETERS[name] for name in ("lower", "damping", "offset")}
     t, rng, found = np.arange(0.0, 8.0, DT), np.random.default_rng(4), {}

@@ -246,6 +246,7 @@ QUICK = {
 }
 
 
+@pytest.mark.medium
 def test_runs_are_told_apart_in_the_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     system, logs, dampings = amhe.System.load("pendulum", QUICK), [], (0.033, 0.035, 0.041)
     for i, damping in enumerate(dampings):

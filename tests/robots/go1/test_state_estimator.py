@@ -335,6 +335,7 @@ def test_rows_that_are_not_finite_or_lost_change_nothing_else() -> None:
     assert_same(a, b, 1e-12)
 
 
+@pytest.mark.medium
 def test_rows_in_any_order_and_poses_that_come_a_cycle_late() -> None:
     ordered, shuffled, late = (StateEstimator(in_the_air) for _ in range(3))
     before = without_poses(cycle(0))
@@ -386,6 +387,7 @@ def errors_in_the_plant() -> tuple[dict[str, FloatArray], FloatArray]:
     return known, rms(blind)
 
 
+@pytest.mark.medium
 def test_walking_and_pushing_in_the_plant() -> None:
     """Without feet the trunk's velocity is known worse."""
     errors, without_feet = errors_in_the_plant()

@@ -190,6 +190,7 @@ def walked(seconds: float, frozen: str = "", since: float = np.inf) -> tuple[flo
     return plant.time, ""
 
 
+@pytest.mark.medium
 def test_a_robot_that_walks_and_pushes_is_believed_until_a_pose_freezes() -> None:
     assert walked(4.0)[1] == ""
     for body, message in (("trunk", "froze"), ("box", "inside the box")):
