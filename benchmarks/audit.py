@@ -203,7 +203,9 @@ def trial(seed: int, robot: str, seconds: float) -> dict[str, Any]:
     for name in wrong:
         line = said[name]
         claim = next(c for c in found.claims if c.parameter == name)
-        sd = np.hypot(line.sd / line.log if claim.log else line.sd, claim.sd)  # on the scale of the test
+        sd = np.hypot(
+            line.sd / max(line.log, 1e-12) if claim.log else line.sd, claim.sd
+        )  # on the scale of the test
         told.append(bool(abs(claim.phi(float(drawn[name])) - claim.phi(line.file)) > TOLD * sd))
         hit.append(line.verdict == "contradicted")
     false = [
