@@ -113,14 +113,10 @@ def contacts(gait: Gait, time: ArrayLike) -> BoolArray:
     return phases(gait, time) < gait.duty
 
 
-def mode_switches(gait: Gait, start: float, end: float) -> FloatArray:
-    """Times [s] in (start, end] at which a foot lifts off or touches down, sorted, each once."""
-    if gait.duty >= 1.0:
-        return np.empty(0)
-    in_period = np.unique(np.round(np.mod(np.add.outer(np.array(gait.offsets), [0.0, gait.duty]), 1.0), 9))
-    first, last = np.floor(start / gait.period), np.ceil(end / gait.period)
-    times = gait.period * np.add.outer(np.arange(first, last + 1), in_period).ravel()
-    return times[(times > start) & (times <= end)]
+def switches(gait: Gait, start: float, end: float) -> bool:
+    """Whether a foot lifts off or touches down in (start, end] [s], which no stance or flight fits into."""
+    before, after = contacts(gait, np.array([start, end]) + 1e-9)  # times are rounded
+    return bool((before != after).any())
 
 
 def neutral_feet(gait: Gait) -> FloatArray:

@@ -15,7 +15,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
 from amhe_cli.core.rotations import yaw_of
-from amhe_cli.robots.go1.behaviours.gait import Gait, box_friction, contacts, mode_switches, walk
+from amhe_cli.robots.go1.behaviours.gait import Gait, box_friction, contacts, switches, walk
 from amhe_cli.robots.go1.behaviours.objective import (
     Course,
     Place,
@@ -375,7 +375,7 @@ class Walking:
 
     def switches(self, start: float, end: float) -> bool:
         """See `Behaviour`."""
-        return mode_switches(self.gait, start, end).size > 0
+        return switches(self.gait, start, end)
 
     def standing(self, times: FloatArray) -> BoolArray:
         """Which feet should stand at times [s] (...), shape (..., 4)."""

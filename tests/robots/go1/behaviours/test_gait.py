@@ -15,9 +15,9 @@ from amhe_cli.robots.go1.behaviours.gait import (
     WEIGHT,
     Gait,
     contacts,
-    mode_switches,
     neutral_feet,
     standing,
+    switches,
     walk,
 )
 from amhe_cli.robots.go1.behaviours.objective import Course
@@ -39,13 +39,12 @@ def test_diagonal_legs_stand_together_for_their_share_of_the_time() -> None:
     assert standing_feet.sum(axis=1).min() == 2
 
 
-def test_mode_switches_are_where_contacts_change() -> None:
-    times = np.arange(0.0, 2.0, 1e-4)
-    changes = times[1:][(np.diff(contacts(GAIT, times).astype(int), axis=0) != 0).any(axis=1)]
-    switches = mode_switches(GAIT, 0.0, times[-1])
-    np.testing.assert_allclose(switches, changes, atol=2e-4)
-    assert len(mode_switches(GAIT, 0.02, 0.04)) == 0
-    assert len(mode_switches(standing(GAIT), 0.0, 9.0)) == 0
+def test_the_mode_switches_in_the_cycles_in_which_a_foot_lifts_off_or_touches_down() -> None:
+    ends = 0.02 * np.arange(1, 200)
+    found = [end for end in ends if switches(GAIT, end - 0.02, end)]
+    instants = np.add.outer(0.5 * np.arange(8), [0.05, 0.25, 0.3, 0.5]).ravel()
+    np.testing.assert_allclose(found, 0.02 * np.ceil(instants[instants < ends[-1]] / 0.02 - 1e-6))
+    assert not any(switches(standing(GAIT), end - 0.02, end) for end in ends)
 
 
 @pytest.mark.parametrize("twist", [[0.3, 0.0, 0.0], [0.0, 0.2, 0.0], [0.1, -0.1, 0.5]])
