@@ -203,9 +203,9 @@ def trial(seed: int, robot: str, seconds: float) -> dict[str, Any]:
     for name in wrong:
         line = said[name]
         claim = next(c for c in found.claims if c.parameter == name)
-        sd = np.hypot(
-            line.sd / max(line.log, 1e-12) if claim.log else line.sd, claim.sd
-        )  # on the scale of the test
+        # on the scale of the test; a log that says nothing may say a logarithm of minus infinity
+        sd = (line.sd / line.log if line.log else np.inf) if claim.log else line.sd
+        sd = np.hypot(sd, claim.sd)
         told.append(bool(abs(claim.phi(float(drawn[name])) - claim.phi(line.file)) > TOLD * sd))
         hit.append(line.verdict == "contradicted")
     false = [
