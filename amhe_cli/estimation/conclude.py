@@ -293,11 +293,4 @@ def _profiles(fit: FinalFit, sd: FloatArray, watch: Watch) -> dict[int, tuple[Fl
     problem, points = fit.problem, fit.problem.settings.identify.profile_points
     unknowns = problem.active.sum() if problem.reach is None else problem.reach.unknowns(False)
     rollouts = points * int(unknowns) * min(len(problem.clips), PROFILED)
-    return profiles(
-        problem.system.space,
-        lambda rows, values: fit.costs_along(rows, values, problem.reach),
-        fit.z,
-        sd,
-        problem.active,
-        points if watch.allows("cost profiles", rollouts) else 0,
-    )
+    return profiles(fit, sd, points if watch.allows("cost profiles", rollouts) else 0)

@@ -8,16 +8,15 @@ leaves noise.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from amhe_cli.core import rotations
-from amhe_cli.core.arrays import AnyArray, BoolArray, FloatArray, IntArray, to_host
+from amhe_cli.core.arrays import AnyArray, FloatArray, to_host
 from amhe_cli.core.each_log import averaged, values_on
 from amhe_cli.core.log import Window
-from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.estimation.core.agreement import SURPRISE
 from amhe_cli.estimation.core.information import gauss_newton_step, information
 from amhe_cli.estimation.core.result import Fit, HeldOut, SpanError
@@ -259,11 +258,11 @@ def _mean(errors: FloatArray) -> float:
 
 def fits(problem: Problem, z: FloatArray, windows: Sequence[Window], held_out: bool) -> tuple[Fit, ...]:
     """Best, middling and worst clip under z (d,), each channel a Fit."""
-    cost = MatchingCost(problem.system, windows, problem.engine, problem.settings.cost)
+    cost = problem.cost(windows)
     order = np.argsort(cost.clip_costs(cost.residuals(z[None]))[0])
     picks = order[np.unique(np.linspace(0, len(order) - 1, SHOWN).round().astype(int))]
     chosen = [windows[i] for i in picks]
-    cost = MatchingCost(problem.system, chosen, problem.engine, problem.settings.cost)
+    cost = problem.cost(chosen)
     predicted = cost.predict(np.stack((np.zeros_like(z), z)))
     return tuple(
         fit_of(observed, values[:, i], window, i, held_out, [source.key for source in problem.system.inputs])
@@ -311,29 +310,22 @@ def fit_of(
     )
 
 
-def profiles(
-    space: ParameterSpace,
-    costs_along: Callable[[IntArray, FloatArray], FloatArray],
-    z: FloatArray,
-    sd: FloatArray,
-    active: BoolArray,
-    points: int,
-) -> dict[int, tuple[FloatArray, FloatArray]]:
-    """Cost along each active parameter through the estimate, the others held.
+def profiles(fit: FinalFit, sd: FloatArray, points: int) -> dict[int, tuple[FloatArray, FloatArray]]:
+    """Cost along each parameter that the logs depend on through the estimate, the others held.
 
     Args:
-        costs_along: Costs (m, p) of m parameters, by their rows (m,), at values of z (m, p).
+        fit: The estimate.
         sd: Posterior sd of z: the profile reaches 4 of them, at least 0.3 prior sd, to either side.
-        points: Points of each profile.
+        points: Points of each profile; below 3 there is none.
     """
-    columns = np.flatnonzero(active)
+    space, z, columns = fit.space, fit.z, np.flatnonzero(fit.problem.active)
     if points < 3 or not columns.size:
         return {}
     reach = np.maximum(4.0 * sd, 0.3)[columns]
     lower, upper = (bound[columns] for bound in space.bounds)
     middle = z[columns]
     values = np.linspace(np.maximum(lower, middle - reach), np.minimum(upper, middle + reach), points, axis=1)
-    costs = costs_along(columns, values)
+    costs = fit.costs_along(columns, values, fit.problem.reach)
     candidates = np.repeat(z[None], columns.size * points, axis=0).reshape(columns.size, points, -1)
     candidates[np.arange(columns.size), :, columns] = values
     theta = space.theta_of(candidates)

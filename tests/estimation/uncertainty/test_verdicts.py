@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -254,14 +255,20 @@ def test_a_combination_names_no_factor_with_an_exponent_of_zero() -> None:
 
 
 def test_a_profile_passes_through_the_estimate_within_the_bounds() -> None:
-    z, sd, active = np.array([0.4, -0.2, 4.4]), np.full(3, 0.05), np.array([True, False, True])
-    found = profiles(SPACE, lambda rows, at: (at - z[rows, None]) ** 2, z, sd, active, points=11)
+    z, sd = np.array([0.4, -0.2, 4.4]), np.full(3, 0.05)
+    fit: Any = SimpleNamespace(
+        space=SPACE,
+        z=z,
+        problem=SimpleNamespace(active=np.array([True, False, True]), reach=None),
+        costs_along=lambda rows, at, reach: (at - z[rows, None]) ** 2,
+    )
+    found = profiles(fit, sd, points=11)
     assert set(found) == {0, 2}
     theta, costs = found[0]
     assert theta[5] == pytest.approx(SPACE.theta_of(z)[0]) and costs[5] == pytest.approx(0.0, abs=1e-12)
     assert costs[[0, -1]] == pytest.approx(0.09)
     assert found[2][0].max() <= 1.0, "the upper bound"
-    assert profiles(SPACE, lambda rows, at: at, z, sd, active, points=2) == {}
+    assert profiles(fit, sd, points=2) == {}
 
 
 RIVAL = Rival(np.array([-0.4, -0.2, 0.1]), 0.4, np.array([True, False, False]), (1.02, 1.03))
