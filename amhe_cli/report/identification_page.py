@@ -25,7 +25,15 @@ from amhe_cli.report import figures, numbers
 from amhe_cli.report.check import before_section
 from amhe_cli.report.held_out import better_text, held_out_section, held_out_statement
 from amhe_cli.report.missing import missing_section, repairs_section
-from amhe_cli.report.page import Section, Statement, Tone, cell, fixed_statement, result_page
+from amhe_cli.report.page import (
+    Section,
+    Statement,
+    Tone,
+    cell,
+    diverged_statement,
+    fixed_statement,
+    result_page,
+)
 from amhe_cli.report.parameters import budget_section, parameter_sections
 from amhe_cli.report.tables import NUMBER, STRONG, Table
 
@@ -141,9 +149,10 @@ def _verdict_text(result: Identification) -> str:
 
 def statements(result: Identification) -> list[Statement]:
     """What a reader should know before using a number, most important first."""
+    stopped = "The search was interrupted: the values are the best that it had found."
     return [
-        *_stopped(result),
-        *_unexplained(result),
+        *([Statement("bad", stopped)] if result.interrupted else []),
+        *(Statement("bad", f"{text[0].upper()}{text[1:]}.") for text in result.unexplained),
         *held_out_statement(result.held_out),
         *_better(result.held_out),
         *(Statement("good", f"{text[0].upper()}{text[1:]}.") for text in result.determined[:1]),
@@ -151,7 +160,7 @@ def statements(result: Identification) -> list[Statement]:
         *(Statement("good", together_text(result, c)) for c in known_together(result)[:MAX_COMBINATIONS]),
         *fixed_statement(result.belief.fixed, result.exact),
         *_residuals(result),
-        *_divergence(result),
+        *diverged_statement(result.diverged, result.rollouts),
     ]
 
 
@@ -159,16 +168,6 @@ def _better(held_out: HeldOut | None) -> Iterator[Statement]:
     if held_out and (text := better_text(held_out.horizons)):
         worse = any(one.identified > one.initial for one in held_out.horizons)
         yield Statement("mixed" if worse else "good", f"{text}.", "held-out")
-
-
-def _stopped(result: Identification) -> Iterator[Statement]:
-    if result.interrupted:
-        yield Statement("bad", "The search was interrupted: the values are the best that it had found.")
-
-
-def _unexplained(result: Identification) -> Iterator[Statement]:
-    for text in result.unexplained:
-        yield Statement("bad", f"{text[0].upper()}{text[1:]}.")
 
 
 #: Sentences about what is taken as known.
@@ -201,15 +200,6 @@ def _residuals(result: Identification) -> Iterator[Statement]:
         worst = max(result.noise_scale.values())
         tone: Tone = "good" if worst <= LARGE_RESIDUAL else "bad" if worst > LARGEST_RESIDUAL else "mixed"
         yield Statement(tone, f"{misfit_text(result).capitalize()}: {THUMB}.")
-
-
-def _divergence(result: Identification) -> Iterator[Statement]:
-    if result.diverged:
-        share = numbers.percent(result.diverged / max(result.rollouts, 1))
-        yield Statement(
-            "mixed" if result.diverged > 0.05 * result.rollouts else "good",
-            f"{result.diverged:,} of {result.rollouts:,} rollouts ({share}) diverged and were left out.",
-        )
 
 
 def _sections(result: Identification, record: Mapping[str, Any], seen: Beside) -> Iterator[Section]:

@@ -41,6 +41,14 @@ def fixed_statement(fixed: Mapping[str, float], exact: Sequence[str] = ()) -> It
         yield Statement("mixed", f"Taken as exact, by identify.assumed: {numbers.joined(exact)}.")
 
 
+def diverged_statement(diverged: int, count: int) -> Iterator[Statement]:
+    """How many of some rollouts diverged, if any did."""
+    if diverged:
+        share = numbers.percent(diverged / max(count, 1))
+        text = f"{diverged:,} of {count:,} rollouts ({share}) diverged and were left out."
+        yield Statement("mixed" if diverged > 0.05 * count else "good", text)
+
+
 @dataclass(frozen=True, slots=True)
 class Section:
     """A titled part of a page; everything below the title is optional and shown in this order.

@@ -18,7 +18,15 @@ from amhe_cli.estimation.core.result import Fit
 from amhe_cli.estimation.online.replay import Prediction, Replay
 from amhe_cli.report import figures, numbers
 from amhe_cli.report.folder import results
-from amhe_cli.report.page import Section, Statement, fixed_statement, print_statements, result_page
+from amhe_cli.report.page import (
+    Section,
+    Statement,
+    Tone,
+    diverged_statement,
+    fixed_statement,
+    print_statements,
+    result_page,
+)
 from amhe_cli.report.replay_files import MARKS, estimates_csv, write_log
 from amhe_cli.report.tables import NUMBER, STRONG, Table, rich_table
 from amhe_cli.web.plots import Curve, Mark, Panel, figure
@@ -124,56 +132,27 @@ def headline(record: Mapping[str, Any]) -> str:
 
 def statements(record: Mapping[str, Any]) -> list[Statement]:
     """What a reader should know before using a number."""
-    return [
-        *_stopped(record), *_truth(record), *_together(record),
-        *fixed_statement(record["fixed"]), *_windows(record), *_speed(record),
-        *_diverged(record),
-    ]  # fmt: skip
-
-
-def _stopped(record: Mapping[str, Any]) -> Iterator[Statement]:
+    found, known = [], [p for p in record["parameters"] if p["coverage"] is not None]
     if record["interrupted"]:
-        yield Statement("mixed", f"The replay was interrupted: the estimates end at {record['end_s']:.1f} s.")
-
-
-def _truth(record: Mapping[str, Any]) -> Iterator[Statement]:
-    known = [p for p in record["parameters"] if p["coverage"] is not None]
+        told = f"The replay was interrupted: the estimates end at {record['end_s']:.1f} s."
+        found.append(Statement("mixed", told))
     if known:
         held = numbers.joined([f"of {p['name']} in {numbers.percent(p['coverage'])}" for p in known])
-        honest = all(p["coverage"] >= _HONEST for p in known)
-        yield Statement(
-            "good" if honest else "mixed",
-            f"The 90 % interval held the true value {held} of the updates.",
-        )
-
-
-def _together(record: Mapping[str, Any]) -> Iterator[Statement]:
-    if record["combinations"]:
-        known = numbers.joined(
-            [f"{c['text']} (sd {numbers.percent(c['sd'])})" for c in record["combinations"]]
-        )
-        yield Statement("good", f"Known more precisely together than apart: {known}.")
-
-
-def _windows(record: Mapping[str, Any]) -> Iterator[Statement]:
-    yield Statement("good" if record["updated"] else "bad", f"{windows_line(record)}.")
-
-
-def _speed(record: Mapping[str, Any]) -> Iterator[Statement]:
+        honest: Tone = "good" if all(p["coverage"] >= _HONEST for p in known) else "mixed"
+        found.append(Statement(honest, f"The 90 % interval held the true value {held} of the updates."))
+    if together := [f"{c['text']} (sd {numbers.percent(c['sd'])})" for c in record["combinations"]]:
+        told = f"Known more precisely together than apart: {numbers.joined(together)}."
+        found.append(Statement("good", told))
+    found += fixed_statement(record["fixed"])
+    found.append(Statement("good" if record["updated"] else "bad", f"{windows_line(record)}."))
     ms, period = record["update_ms"], 1e3 * record["settings"]["update_period"]
     if ms["p50"] is not None:
-        yield Statement(
-            "good" if ms["p99"] <= period else "mixed",
+        told = (
             f"An update took {ms['p50']:.0f} ms (median) and {ms['p99']:.0f} ms (99th percentile); the "
-            f"update period is {period:g} ms. All took {record['real_time_factor']:.1f} times real time.",
+            f"update period is {period:g} ms. All took {record['real_time_factor']:.1f} times real time."
         )
-
-
-def _diverged(record: Mapping[str, Any]) -> Iterator[Statement]:
-    count, diverged = record["rollouts"]["count"], record["rollouts"]["diverged"]
-    if diverged:
-        share = numbers.percent(diverged / max(count, 1))
-        yield Statement("mixed", f"{diverged:,} of {count:,} rollouts ({share}) diverged and were left out.")
+        found.append(Statement("good" if ms["p99"] <= period else "mixed", told))
+    return [*found, *diverged_statement(record["rollouts"]["diverged"], record["rollouts"]["count"])]
 
 
 def windows_line(record: Mapping[str, Any]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -117,33 +117,26 @@ def estimates_csv(replay: Replay) -> str:
     """The content of estimates.csv: one line for each window; cells without a value are empty."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(list(csv_header(replay.system.space.names, replay.truth)))
+    table.writerow(csv_header(replay.system.space.names, replay.truth))
     for i, estimate in enumerate(replay.estimates):
-        table.writerow(list(csv_row(estimate, {name: values[i] for name, values in replay.truth.items()})))
+        table.writerow(csv_row(estimate, {name: values[i] for name, values in replay.truth.items()}))
     return text.getvalue()
 
 
-def csv_header(names: Sequence[str], truth: Collection[str] = ()) -> Iterable[str]:
+def csv_header(names: Sequence[str], truth: Collection[str] = ()) -> list[str]:
     """Columns of estimates.csv; of those parameters whose true values are known, these, too."""
-    yield "time"
-    for name in names:
-        yield from (name, f"{name}_sd", *([f"{name}_true"] if name in truth else []))
-    yield from ("misfit", "updated", "update_ms", "mark", "excitation")
+    ends = [(name, end) for name in names for end in ("", "_sd", "_true") if end != "_true" or name in truth]
+    values = [name + end for name, end in ends]
+    return ["time", *values, "misfit", "updated", "update_ms", "mark", "excitation"]
 
 
-def csv_row(estimate: Estimate, truth: Mapping[str, float] = MappingProxyType({})) -> Iterable[str]:
+def csv_row(one: Estimate, truth: Mapping[str, float] = MappingProxyType({})) -> list[str]:
     """Cells of one estimate."""
-    yield _cell(estimate.time)
-    for column, name in enumerate(estimate.belief.names):
-        yield _cell(estimate.theta[column])
-        yield _cell(estimate.sd[column])
-        if name in truth:
-            yield _cell(truth[name])
-    yield _cell(estimate.misfit)
-    yield str(int(estimate.updated))
-    yield f"{estimate.update_ms:.1f}"
-    yield estimate.mark
-    yield _cell(estimate.excitation)
+    values = [one.time]
+    for name, value, sd in zip(one.belief.names, one.theta, one.sd, strict=True):
+        values += [value, sd, *([truth[name]] if name in truth else [])]
+    result = [str(int(one.updated)), f"{one.update_ms:.1f}", one.mark, _cell(one.excitation)]
+    return [*map(_cell, [*values, one.misfit]), *result]
 
 
 def _cell(value: float) -> str:
@@ -172,17 +165,13 @@ def write_log(
             prediction = predicted[i]
             if prediction is not None:
                 _write_prediction(log, replay, window.log, prediction)
-            stamp = _stamp_ns(window.log, window.stop)
+            stamp = window.log.start_ns + round(window.stop * window.log.dt * 1e9)
             messages.write_params(log, stamp, estimate)
             messages.write_estimate(log, stamp, estimate)
             truth = {name: float(v[i]) for name, v in replay.truth.items() if np.isfinite(v[i])}
             if truth:
                 log.joint_state("/amhe/truth", stamp, truth, list(truth.values()))
             write_mark(log, stamp, estimate)
-
-
-def _stamp_ns(recorded: Log, row: int) -> int:
-    return recorded.start_ns + round(row * recorded.dt * 1e9)
 
 
 def write_mark(log: LogWriter, stamp_ns: int, estimate: Estimate) -> None:

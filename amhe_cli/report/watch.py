@@ -94,7 +94,7 @@ class WatchReport:
         self._csv = self._open.enter_context(path.open("a", newline="", encoding="utf-8"))
         self._table = csv.writer(self._csv, lineterminator="\n")
         if not begun:
-            self._table.writerow(list(csv_header(self._system.space.names)))
+            self._table.writerow(csv_header(self._system.space.names))
         about = {"system": self._system.name, "command": str(self._provenance["command"])}
         self._log = self._open.enter_context(LogWriter(fresh(self._folder / "estimates", ".mcap"), about))
         messages.define(self._log)
@@ -222,7 +222,7 @@ class WatchReport:
         self._history.append(estimate)
         self._lag = self._source.now - estimate.time
         self._holding = [text for text, holds in self._alarms.items() if holds(estimate)]
-        self._table.writerow(list(csv_row(estimate)))
+        self._table.writerow(csv_row(estimate))
         self._csv.flush()
         log, stamp, names = self._log, self._source.stamp_ns(estimate.time), estimate.belief.names
         log.also = ()
