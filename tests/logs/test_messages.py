@@ -34,27 +34,34 @@ Q = np.stack((np.sin(3.0 * T), np.cos(2.0 * T)), axis=1)
 TURN = np.stack((np.cos(0.5 * T), np.sin(0.5 * T)), axis=1)  # half angle about z: w, z
 
 
-def stamp(i: int) -> dict[str, int]:
-    sec, nsec = divmod(START_NS + round(1e9 * T[i]), 10**9)
-    return {"sec": sec, "nsec": nsec}
+#: Names of the seconds and of their rest in a stamp, by encoding.
+STAMPS = {"json": ("sec", "nsec"), "protobuf": ("seconds", "nanos"), "ros": ("sec", "nanosec")}
 
 
-def pose(i: int) -> dict[str, Any]:
+def stamp(i: int, encoding: str = "json") -> dict[str, int]:
+    return dict(zip(STAMPS[encoding], divmod(START_NS + round(1e9 * T[i]), 10**9), strict=True))
+
+
+def pose(i: int, height: float = 0.0) -> dict[str, Any]:
+    """Height 0, and x = sin(0) at first: numbers that proto3 leaves out."""
     turn = {"x": 0.0, "y": 0.0, "z": TURN[i, 1], "w": TURN[i, 0]}
-    return {"position": {"x": Q[i, 0], "y": Q[i, 1], "z": 0.5}, "orientation": turn}
+    return {"position": {"x": Q[i, 0], "y": Q[i, 1], "z": height}, "orientation": turn}
 
 
-def write(path: Path, schema: str, message: Callable[[int], Any], topic: str = "/data") -> Path:
-    """A JSON MCAP whose recorder was 50 ms late: only the messages' own stamps are right."""
+def write(path: Path, schema: str, message: Callable[[int], Any], encoding: str = "json") -> Path:
+    """An MCAP whose recorder was 50 ms late: only the messages' own stamps are right."""
+    proto = encoding == "protobuf"
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
-        about = writer.register_schema(schema, "jsonschema", b"{}")
-        channel = writer.register_channel(topic, "json", about)
+        about = (encoding, SET.SerializeToString()) if proto else ("jsonschema", b"{}")
+        channel = writer.register_channel("/data", encoding, writer.register_schema(schema, *about))
         for i in range(T.size):
             late = START_NS + round(1e9 * T[i]) + 50_000_000
-            content = message(i)
-            data = content if isinstance(content, bytes) else json.dumps(content).encode()
+            data = message(i)
+            if not isinstance(data, bytes):
+                plain = schema.removeprefix("foxglove.")
+                data = CLASS(plain)(**data).SerializeToString() if proto else json.dumps(data).encode()
             writer.add_message(channel, late, data, late)
         writer.finish()
     return path
@@ -64,77 +71,78 @@ def read(path: Path, *quantities: str, **more: Any) -> Log:
     return read_signals(path, [Signal("s", "/data", quantities, **more)], DT, LogSettings())
 
 
-JOINTS: Mapping[str, tuple[str, Callable[[int], Any]]] = {
-    "ros": (
-        "sensor_msgs/msg/JointState",
-        lambda i: {
-            "header": {"stamp": {"sec": stamp(i)["sec"], "nanosec": stamp(i)["nsec"]}, "frame_id": ""},
-            "name": ["a", "b"], "position": list(Q[i]), "velocity": [], "effort": [],
-        },
-    ),
-    "foxglove": (
-        "foxglove.JointStates",
-        lambda i: {
-            "timestamp": stamp(i),
-            "joints": [{"name": "b", "position": Q[i, 1]}, {"name": "a", "position": Q[i, 0]}],
-        },
-    ),
-}  # fmt: skip
+def joint_states(i: int, encoding: str) -> dict[str, Any]:
+    joints = [{"name": "b", "position": Q[i, 1]}, {"name": "a", "position": Q[i, 0]}]
+    return {"timestamp": stamp(i, encoding), "joints": joints}
 
 
-@pytest.mark.parametrize("kind", sorted(JOINTS))
-def test_joint_states(kind: str, tmp_path: Path) -> None:
-    log = read(write(tmp_path / "log.mcap", *JOINTS[kind]), "position", "velocity", names=("a", "b"))
-    assert log.steps == T.size
-    assert log.start_ns == START_NS
-    np.testing.assert_allclose(log["s.position"].values, Q, atol=1e-12)
+def ros_joints(i: int, encoding: str = "ros") -> dict[str, Any]:
+    header = {"stamp": stamp(i, encoding), "frame_id": ""}
+    return {"header": header, "name": ["b", "a"], "position": list(Q[i, ::-1]), "velocity": [], "effort": []}
+
+
+def joint_state(i: int, encoding: str) -> dict[str, Any]:
+    return {"timestamp": stamp(i, encoding), "name": ["b", "a"], "position": list(Q[i, ::-1])}
+
+
+@pytest.mark.parametrize(
+    ("schema", "message", "encoding"),
+    [
+        ("sensor_msgs/msg/JointState", lambda i, _: ros_joints(i), "json"),
+        ("foxglove.JointStates", joint_states, "json"),
+        ("foxglove.JointStates", joint_states, "protobuf"),
+        ("foxglove.JointState", joint_state, "protobuf"),
+    ],
+)
+def test_joint_states(schema: str, message: Callable[..., Any], encoding: str, tmp_path: Path) -> None:
+    path = write(tmp_path / "log.mcap", schema, lambda i: message(i, encoding), encoding)
+    log = read(path, "position", "velocity", names=("a", "b"))
+    assert (log.steps, log.start_ns) == (T.size, START_NS)
+    np.testing.assert_array_equal(log["s.position"].values, Q)
     assert np.abs(log["s.velocity"].values[5:-5, 0] - 3.0 * np.cos(3.0 * T[5:-5])).max() < 0.01
+    (topic,) = survey(path).topics
+    assert (topic.problem, topic.header, topic.entries) == (None, "good", ("b", "a"))
+    assert topic.quantities == ("position",)
+
+
+def moved(i: int, encoding: str, name: str = "box", height: float = 0.0) -> dict[str, Any]:
+    place = pose(i, height)
+    frames = {"parent_frame_id": "world", "child_frame_id": name}
+    about = {"timestamp": stamp(i, encoding)} | frames
+    return about | {"translation": place["position"], "rotation": place["orientation"]}
+
+
+def transforms(i: int, encoding: str) -> dict[str, Any]:
+    return {"transforms": [moved(i, encoding, "other", 9.0), moved(i, encoding)]}
 
 
 SECOND_POSE = {
     "position": tuple(f"poses[1].position.{part}" for part in "xyz"),
     "orientation": tuple(f"poses[1].orientation.{part}" for part in "wxyz"),
 }
-POSES: Mapping[str, tuple[str, Callable[[int], Any], dict[str, Any]]] = {
-    "pose in frame": ("foxglove.PoseInFrame", lambda i: {"timestamp": stamp(i), "pose": pose(i)}, {}),
-    "transform": (
-        "foxglove.FrameTransform",
-        lambda i: {
-            "timestamp": stamp(i), "parent_frame_id": "world", "child_frame_id": "box",
-            "translation": pose(i)["position"], "rotation": pose(i)["orientation"],
+#: Schema -> its message, by row and encoding, and how the signal is said to be read.
+POSES: Mapping[str, tuple[Callable[[int, str], Any], dict[str, Any]]] = {
+    "PoseInFrame": (lambda i, encoding: {"timestamp": stamp(i, encoding), "pose": pose(i)}, {}),
+    "FrameTransform": (moved, {}),
+    "FrameTransforms": (transforms, {"child_frame": "box"}),
+    "PosesInFrame": (
+        lambda i, encoding: {
+            "timestamp": stamp(i, encoding), "poses": [{} if encoding == "protobuf" else pose(0), pose(i)]
         },
-        {},
-    ),
-    "transforms": (
-        "foxglove.FrameTransforms",
-        lambda i: {
-            "transforms": [
-                {
-                    "timestamp": stamp(i), "parent_frame_id": "world", "child_frame_id": name,
-                    "translation": {**pose(i)["position"], "z": height}, "rotation": pose(i)["orientation"],
-                }
-                for name, height in (("other", 9.0), ("box", 0.5))
-            ]
-        },
-        {"child_frame": "box"},
-    ),
-    "one of several poses, by its path": (
-        "foxglove.PosesInFrame",
-        lambda i: {"timestamp": stamp(i), "frame_id": "world", "poses": [pose(0), pose(i)]},
         {"fields": SECOND_POSE},
     ),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", sorted(POSES))
-def test_poses(kind: str, tmp_path: Path) -> None:
-    schema, message, more = POSES[kind]
-    log = read(write(tmp_path / "log.mcap", schema, message), "position", "orientation", **more)
+@pytest.mark.parametrize("encoding", ["json", "protobuf"])
+@pytest.mark.parametrize("name", sorted(POSES))
+def test_poses(name: str, encoding: str, tmp_path: Path) -> None:
+    message, more = POSES[name]
+    path = write(tmp_path / "log.mcap", f"foxglove.{name}", lambda i: message(i, encoding), encoding)
+    log = read(path, "position", "orientation", **more)
     assert log.start_ns == START_NS
-    np.testing.assert_allclose(
-        log["s.position"].values, np.column_stack((Q, np.full(T.size, 0.5))), atol=1e-9
-    )
-    np.testing.assert_allclose(log["s.orientation"].values[:, [0, 3]], TURN, atol=1e-9)
+    np.testing.assert_array_equal(log["s.position"].values, np.column_stack((Q, np.zeros(T.size))))
+    np.testing.assert_allclose(log["s.orientation"].values[:, [0, 3]], TURN, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -157,19 +165,30 @@ def test_any_schema_by_its_paths_and_any_form_of_a_time(time: Any, tmp_path: Pat
     assert not log["s.value"].values.any()
 
 
-def test_damaged_messages_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    good = JOINTS["ros"][1]
-    bad = {
+DAMAGED = {
+    "json": {
         10: b"{", 20: b"[1]", 30: b"[" * 5000, 40: b'{"a": ' * 200 + b"1" + b"}" * 200,
         50: b'{"stamp": NaN}', 60: b'{"stamp": ' + b"9" * 400 + b"}", 70: b'{"a": ' + b"9" * 400 + b"}",
-    }  # fmt: skip
-    path = write(tmp_path / "log.mcap", JOINTS["ros"][0], lambda i: bad.get(i) or good(i))
+    },
+    "protobuf": {
+        10: b"\x0a", 20: b"\x0a\xff\xff\xff\xff\x0f", 30: b"\xff" * 20, 40: b"\x0b\x08", 50: b"\x00\x01"
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("encoding", sorted(DAMAGED))
+def test_damaged_messages_are_counted(
+    encoding: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    bad = DAMAGED[encoding]
+    good = (lambda i: joint_state(i, encoding)) if encoding == "protobuf" else ros_joints
+    schema = "foxglove.JointState" if encoding == "protobuf" else "sensor_msgs/msg/JointState"
+    path = write(tmp_path / "log.mcap", schema, lambda i: bad.get(i) or good(i), encoding)
     log = read(path, "position", names=("a", "b"))
-    assert "7 messages damaged and dropped" in caplog.text
+    assert f"{len(bad)} messages damaged and dropped" in caplog.text
     np.testing.assert_allclose(log["s.position"].values, Q, atol=1e-3)
     (topic,) = survey(path).topics
-    assert topic.quantities == ("position",)
-    assert topic.entries == ("a", "b")
+    assert (topic.quantities, topic.entries) == (("position",), ("b", "a"))
 
 
 def test_null_is_a_number_that_was_not_measured(tmp_path: Path) -> None:
@@ -221,9 +240,9 @@ def described(messages: Mapping[str, Mapping[str, str]]) -> descriptor_pb2.FileD
                 added.type, added.type_name = KIND.TYPE_MESSAGE, f".{package}.{plain}"
             else:
                 added.type = getattr(KIND, f"TYPE_{plain.upper()}")
-    proto_stamp = descriptor_pb2.FileDescriptorProto()
-    timestamp_pb2.DESCRIPTOR.CopyToProto(proto_stamp)
-    return descriptor_pb2.FileDescriptorSet(file=[proto_stamp, file])
+    times = descriptor_pb2.FileDescriptorProto()
+    timestamp_pb2.DESCRIPTOR.CopyToProto(times)
+    return descriptor_pb2.FileDescriptorSet(file=[times, file])
 
 
 def classes(descriptors: descriptor_pb2.FileDescriptorSet) -> Callable[[str], Any]:
@@ -237,97 +256,12 @@ SET = described(FOXGLOVE)
 CLASS = classes(SET)
 
 
-def proto_stamp(i: int) -> dict[str, int]:
-    seconds, nanos = divmod(START_NS + round(1e9 * T[i]), 10**9)
-    return {"seconds": seconds, "nanos": nanos}
-
-
-def turn(i: int) -> dict[str, float]:
-    return {"z": TURN[i, 1], "w": TURN[i, 0]}
-
-
-def write_proto(path: Path, name: str, message: Callable[[int], Any]) -> Path:
-    """A protobuf MCAP whose recorder was 50 ms late: only the messages' own stamps are right."""
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        about = writer.register_schema(f"foxglove.{name}", "protobuf", SET.SerializeToString())
-        channel = writer.register_channel("/data", "protobuf", about)
-        for i in range(T.size):
-            late = START_NS + round(1e9 * T[i]) + 50_000_000
-            content = message(i)
-            data = content if isinstance(content, bytes) else CLASS(name)(**content).SerializeToString()
-            writer.add_message(channel, late, data, late)
-        writer.finish()
-    return path
-
-
-def joint_states(i: int) -> dict[str, Any]:
-    joints = [{"name": "b", "position": Q[i, 1]}, {"name": "a", "position": Q[i, 0]}]
-    return {"timestamp": proto_stamp(i), "joints": joints}
-
-
-PROTO: Mapping[str, Callable[[int], Any]] = {
-    "JointStates": joint_states,
-    "JointState": lambda i: {"timestamp": proto_stamp(i), "name": ["b", "a"], "position": list(Q[i, ::-1])},
-}
-
-
-@pytest.mark.parametrize("name", sorted(PROTO))
-def test_joint_states_in_protobuf(name: str, tmp_path: Path) -> None:
-    path = write_proto(tmp_path / "log.mcap", name, PROTO[name])
-    log = read(path, "position", "velocity", names=("a", "b"))
-    assert (log.steps, log.start_ns) == (T.size, START_NS)
-    np.testing.assert_array_equal(log["s.position"].values, Q)
-    (topic,) = survey(path).topics
-    assert (topic.problem, topic.header, topic.entries) == (None, "good", ("b", "a"))
-    assert topic.quantities == ("position",)
-
-
-def moved(i: int, name: str = "box", height: float = 0.0) -> dict[str, Any]:
-    """Height 0, and x = sin(0) at first: numbers that proto3 leaves out."""
-    position = {"x": Q[i, 0], "y": Q[i, 1], "z": height}
-    return {
-        "timestamp": proto_stamp(i), "child_frame_id": name, "translation": position, "rotation": turn(i)
-    }  # fmt: skip
-
-
-PROTO_POSES: Mapping[str, tuple[Callable[[int], Any], dict[str, Any]]] = {
-    "PoseInFrame": (
-        lambda i: {
-            "timestamp": proto_stamp(i), "pose": {"position": moved(i)["translation"], "orientation": turn(i)}
-        },
-        {},
-    ),
-    "FrameTransform": (moved, {}),
-    "FrameTransforms": (
-        lambda i: {"transforms": [moved(i, "other", 9.0), moved(i)]}, {"child_frame": "box"},
-    ),
-    "PosesInFrame": (
-        lambda i: {
-            "timestamp": proto_stamp(i),
-            "poses": [{}, {"position": moved(i)["translation"], "orientation": turn(i)}],
-        },
-        {"fields": SECOND_POSE},
-    ),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", sorted(PROTO_POSES))
-def test_poses_in_protobuf(name: str, tmp_path: Path) -> None:
-    message, more = PROTO_POSES[name]
-    log = read(write_proto(tmp_path / "log.mcap", name, message), "position", "orientation", **more)
-    assert log.start_ns == START_NS
-    np.testing.assert_array_equal(log["s.position"].values, np.column_stack((Q, np.zeros(T.size))))
-    np.testing.assert_allclose(log["s.orientation"].values[:, [0, 3]], TURN, atol=1e-12)
-
-
 def test_any_type_by_its_paths(tmp_path: Path) -> None:
     def robot(i: int) -> dict[str, Any]:
         motors = [{"q": Q[i, 0], "ticks": -i, "on": True}, {"q": Q[i, 1], "ticks": i * i}]
         return {"timestamp": START_NS + round(1e9 * T[i]), "motors": motors, "raw": [i, -i], "mode": i}
 
-    path = write_proto(tmp_path / "log.mcap", "Robot", robot)
+    path = write(tmp_path / "log.mcap", "foxglove.Robot", robot, "protobuf")
     fields = {
         "position": ("motors[0].q", "motors[1].q"),
         "value": ("motors[0].ticks", "motors[1].ticks", "motors[0].on", "raw[1]", "mode"),
@@ -414,16 +348,6 @@ def test_every_number_is_that_of_google_protobuf(contents: list[dict[str, Any]])
     assert splitter.damaged == 0
 
 
-def test_damaged_protobuf_is_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    bad = {
-        10: b"\x0a", 20: b"\x0a\xff\xff\xff\xff\x0f", 30: b"\xff" * 20, 40: b"\x0b\x08", 50: b"\x00\x01"
-    }  # fmt: skip
-    path = write_proto(tmp_path / "log.mcap", "JointState", lambda i: bad.get(i) or PROTO["JointState"](i))
-    log = read(path, "position", names=("a", "b"))
-    assert "5 messages damaged and dropped" in caplog.text
-    np.testing.assert_allclose(log["s.position"].values, Q, atol=1e-3)
-
-
 def test_a_damaged_descriptor_set_is_named(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     for content, words in ((b"\xff" * 9, "is damaged"), (b"", "no descriptor of foxglove.JointState")):
@@ -449,14 +373,15 @@ MODEL = """<mujoco><worldbody>
     ("name", "message", "entry"),
     [
         ("JointStates", joint_states, {"joints": ["a", "b"]}),
-        ("FrameTransforms", PROTO_POSES["FrameTransforms"][0], {"body": "box", "child_frame": "box"}),
+        ("FrameTransforms", transforms, {"body": "box", "child_frame": "box"}),
     ],
 )
 def test_init_guesses_from_foxglove_types(
-    name: str, message: Callable[[int], Any], entry: dict[str, Any], tmp_path: Path
+    name: str, message: Callable[[int, str], Any], entry: dict[str, Any], tmp_path: Path
 ) -> None:
     (tmp_path / "robot.xml").write_text(MODEL)
-    init_system(tmp_path / "robot.xml", [write_proto(tmp_path / "log.mcap", name, message)], tmp_path / "out")
+    log = write(tmp_path / "log.mcap", f"foxglove.{name}", lambda i: message(i, "protobuf"), "protobuf")
+    init_system(tmp_path / "robot.xml", [log], tmp_path / "out")
     signals = yaml.safe_load((tmp_path / "out" / "system.yaml").read_text())["signals"]
     (signal,) = signals.values()
     assert signal["type"] == f"foxglove.{name}"

@@ -12,9 +12,7 @@ from typing import Any
 
 import h5py
 import numpy as np
-import pyarrow
 import pyarrow as pa
-import pyarrow.parquet
 import pytest
 import yaml
 from pyarrow import parquet
@@ -112,15 +110,11 @@ def test_every_dialect_gives_the_same_numbers(dialect: str, tmp_path: Path) -> N
 
 
 def test_npz_parquet_and_hdf5_give_the_same_numbers_as_text(tmp_path: Path) -> None:
-    import h5py
-    import pyarrow
-    import pyarrow.parquet
-
     arrays = {"time": T, "q1": Q[:, 0], "q2": Q[:, 1], "dq": QD}
     np.savez(tmp_path / "log.npz", **arrays)
     listed = {**arrays, "dq": [list(row) for row in QD]}
-    table = pyarrow.table(listed)
-    pyarrow.parquet.write_table(table, tmp_path / "log.parquet")
+    table = pa.table(listed)
+    parquet.write_table(table, tmp_path / "log.parquet")
     with h5py.File(tmp_path / "log.h5", "w") as file:
         for name, array in arrays.items():
             file["run/" + name] = array
@@ -288,8 +282,8 @@ def written(folder: Path, suffix: str) -> Path:
             for name, array in arrays.items():
                 file[name] = array
     else:
-        write = pyarrow.parquet.write_table
-        write(pyarrow.table(arrays), path)
+        write = parquet.write_table
+        write(pa.table(arrays), path)
     return path
 
 
