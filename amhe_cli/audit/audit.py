@@ -14,7 +14,7 @@ from amhe_cli.audit.judge import Findings, chances, contradicted, outstanding, s
 from amhe_cli.audit.weight import anywhere, weights
 from amhe_cli.check.motion import states_along
 from amhe_cli.core.arrays import BoolArray, FloatArray
-from amhe_cli.core.errors import ConfigError, LogError
+from amhe_cli.core.errors import ConfigError, EstimationError, LogError
 from amhe_cli.core.log import Log
 from amhe_cli.core.parameters import ParameterSpace, theta_of
 from amhe_cli.core.settings import AssumedSettings
@@ -142,7 +142,12 @@ def audit(
     search, doubted = None, Doubted()
     for clips, length in ((None, None),) if proposal.match == "effort" else _CLIPS:
         among = partial(searched, clips=clips, length=length)
-        search, doubted = _without_suspects(among, claims, doubted, search)
+        try:
+            search, doubted = _without_suspects(among, claims, doubted, search)
+        except EstimationError:
+            if length is None:
+                raise
+            # what is slow stands still in short clips
     assert search is not None
     found, system = concluded(search, quick=True), search.problem.system
     lines = _lines(system, found, claims, doubted.ever, logs)
