@@ -82,7 +82,7 @@ def gait_of(system: System) -> Gait:
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     held = {name: one.value for name, one in system.edits.held.items()}
-    gain, zeros = held["motor_gain"], tuple(held[f"zero_{servo}"] for servo in SERVOS)
+    gain, zeros = held.get("motor_gain", 1.0), tuple(held.get(f"zero_{servo}", 0.0) for servo in SERVOS)
     trunk, damping = model.body("trunk").id, model.dof_damping[at.joints_v[:3]] + gain * KD
     ahead, left = (data.subtree_com[trunk] - data.xpos[trunk])[:2].tolist()
     hip, thigh, calf = np.asarray(damping).tolist()
