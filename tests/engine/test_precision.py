@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,11 +20,12 @@ from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.uncertainty.fit import FinalFit, final_fit
 from amhe_cli.system.system import System
-from benchmarks.common import simulated, stop_and_go
 from tests.matching.test_cost import toss
 
 LOGS = Path(__file__).parents[2] / "examples" / "logs"
 STEP, SECONDS = 0.005, 1.0
+#: What is fitted of a longer log, from its middle [s].
+PART = 2.0
 AXES = ([1, 0, 0], [0, 1, 0], [0, 0, 1])
 
 
@@ -51,19 +53,24 @@ def rounded(values: np.ndarray) -> np.ndarray:
     return values.astype(np.float32).astype(np.float64)
 
 
-def fitted(system: System, log: Log, engine: Engine) -> FinalFit:
-    problem = Problem(system, ClipPool(system, [whole(log)], system.settings.clips), engine, 0)
+def fitted(system: System, logs: Sequence[Log], engine: Engine) -> FinalFit:
+    parts = []
+    for part in map(whole, logs):
+        first = part.start + int(0.4 * part.length) * (part.duration > PART)
+        length = min(part.start + part.length - first, round(PART / system.dt))
+        parts.append(replace(part, start=first, length=length))
+    problem = Problem(system, ClipPool(system, parts, system.settings.clips), engine, 0)
     state = search.start(problem)
     while not state.done:
         state = search.advance(problem, state)
     return final_fit(problem, state)
 
 
-def apart(system: System, log: Log) -> float:
-    """How far apart the estimates of both engines are, in posterior sds."""
-    one, other = (fitted(system, log, engine(open_engine(system))) for engine in (lambda e: e, Single))
+def apart(system: System, *logs: Log, alike: float = 0.3) -> float:
+    """How far apart the estimates of both engines are, in posterior sds, which are alike within a share."""
+    one, other = (fitted(system, logs, engine(open_engine(system))) for engine in (lambda e: e, Single))
     assert (one.posterior.sd < 0.9).any(), "the log knows something"
-    np.testing.assert_allclose(other.posterior.sd, one.posterior.sd, rtol=0.3)
+    np.testing.assert_allclose(np.log(other.posterior.sd / one.posterior.sd), 0.0, atol=np.log1p(alike))
     return float(np.abs((other.z - one.z) / one.posterior.sd).max())
 
 
@@ -121,25 +128,34 @@ def test_random_models(first: int) -> None:
     for seed in range(first, first + 50):
         system, log = chain(np.random.default_rng(seed))
         if seed % 5:
-            assert np.isfinite(fitted(system, log, Single(open_engine(system))).posterior.sd).all(), seed
+            assert np.isfinite(fitted(system, [log], Single(open_engine(system))).posterior.sd).all(), seed
         else:
             assert apart(system, log) < 0.2, seed
 
 
 def bundled(name: str, **settings: Any) -> System:
-    short = {"clips": {"length": [0.2, 0.3], "count": 4, "most": 6, "held_out": 0.0}}
+    short = {"clips": {"length": [0.2, 0.3], "count": 4, "held_out": 0.0}}
     return System.load(name, short | {"identify": {"samples": 16, "iterations": 8}} | settings)
 
 
+def noisy(log: Log, rng: np.random.Generator) -> Log:
+    """A log whose sensors err by more than single precision does."""
+    sds = {"cube.position": 1e-3, "cube.orientation": 3e-3, "cube.linear_velocity": 0.02}
+    noise = {key: sd * rng.standard_normal(log[key].values.shape) for key, sd in sds.items()}
+    more = {key: replace(log[key], values=log[key].values + error) for key, error in noise.items()}
+    return replace(log, series=dict(log.series) | more)
+
+
+LOG_OF = {"pendulum": "pendulum", "pusher": "pusher", "pushed_box": "pusher", "go1_push": "t1"}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["pendulum", "pusher", "go1_push", "pushed_box", "cube_toss"])
+@pytest.mark.parametrize("name", [*LOG_OF, "cube_toss"])
 def test_bundled_systems(name: str) -> None:
-    system, rng = bundled(name), np.random.default_rng(0)
+    """Behind contacts rounding changes what follows: estimates and sds are less alike there."""
+    system, smooth = bundled(name), name == "pendulum"
     if name == "cube_toss":
-        log = toss()
-    elif name == "pushed_box":
-        log = simulated(system, system.space.nominal, stop_and_go(rng, 3.0), 3.0, rng, settle=0.5, askew=True)
+        logs = [noisy(toss(seed=seed), np.random.default_rng(seed)) for seed in range(8)]
     else:
-        log = amhe.read_log(LOGS / f"{'t1' if name == 'go1_push' else name}.mcap", system)
-    # behind contacts, where rounding changes what follows, other seeds differ as much
-    assert apart(system, log) < (1.0 if name == "pendulum" else 2.0)
+        logs = [amhe.read_log(LOGS / f"{LOG_OF[name]}.mcap", system)]
+    assert apart(system, *logs, alike=0.3 if smooth else 2.0) < (1.0 if smooth else 2.0)
