@@ -7,17 +7,26 @@ from collections.abc import Mapping, Sequence
 
 #: Names of a long list that are said.
 MOST_NAMES = 6
+#: Sizes below which numbers have an exponent, and below which, in their resolution, they are 0.
+SMALL, NOTHING = 1e-3, 1e-6
 #: Text for a missing number.
 MISSING = "–"
 
 
 def rounded(value: float, resolution: float) -> str:
-    """`value` with as many decimals as show two digits of `resolution`."""
+    """`value` with as many decimals as show two digits of `resolution`; with an exponent below 1e-3.
+
+    What is not 0 is never shown as 0: of a value that is smaller than the last of these decimals one digit is.
+    """
     if not math.isfinite(value):
         return MISSING
     if not (math.isfinite(resolution) and resolution > 0.0):
         return f"{value:.4g}"
     decimals = 1 - math.floor(math.log10(resolution))
+    if abs(value) < NOTHING * resolution:
+        return "0"
+    if abs(value) < SMALL:
+        return f"{value:.{min(max(decimals + math.floor(math.log10(abs(value))), 0), 5)}e}"
     if decimals > 8 or abs(value) >= 1e6:
         digits = 1 + max(0, math.floor(math.log10(abs(value) or resolution)) + decimals)
         return f"{value:.{min(digits, 6)}g}"

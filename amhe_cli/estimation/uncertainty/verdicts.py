@@ -209,11 +209,15 @@ _TEXTS = {
 
 
 def _at_bound(space: ParameterSpace, evidence: Evidence, i: int) -> list[Reason]:
-    """Where an estimate is at a bound: the bound decides it, not the data."""
+    """Where an estimate is at a bound: the bound decides it, not the data.
+
+    The end of a linear scale at 0 is physics: an armature that a sensor does not feel is 0, and the interval
+    says how large it may be.
+    """
     lower, upper = (b[i] for b in space.bounds)
     margin = min(0.01 * (upper - lower), 0.5 * float(evidence.ledger.sd[i]))
     p = space.parameters[i]
-    if evidence.z[i] <= lower + margin:
+    if evidence.z[i] <= lower + margin and (p.log or p.lower != 0.0):
         return [
             Reason("bound", (p.name,), 1.0, f"it stops at its lower bound {p.lower:g}: the data want less")
         ]
