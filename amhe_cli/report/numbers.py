@@ -13,35 +13,38 @@ SMALL, NOTHING = 1e-3, 1e-6
 MISSING = "–"
 
 
-def rounded(value: float, resolution: float) -> str:
-    """`value` with as many decimals as show two digits of `resolution`; with an exponent below 1e-3.
+def rounded(value: float, resolution: float, size: float | None = None) -> str:
+    """`value` with as many decimals as show two digits of `resolution`, and never as 0 if it is not.
 
-    What is not 0 is never shown as 0: of a value that is smaller than the last of these decimals one digit is.
+    Args:
+        value: The number.
+        resolution: What its last digits are worth.
+        size: The largest of the numbers beside it; below 1e-3 they have exponents. None: it stands alone.
     """
     if not math.isfinite(value):
         return MISSING
     if not (math.isfinite(resolution) and resolution > 0.0):
         return f"{value:.4g}"
-    decimals = 1 - math.floor(math.log10(resolution))
     if abs(value) < NOTHING * resolution:
         return "0"
-    if abs(value) < SMALL:
-        return f"{value:.{min(max(decimals + math.floor(math.log10(abs(value))), 0), 5)}e}"
-    if decimals > 8 or abs(value) >= 1e6:
-        digits = 1 + max(0, math.floor(math.log10(abs(value) or resolution)) + decimals)
-        return f"{value:.{min(digits, 6)}g}"
-    return f"{round(value, decimals) + 0.0:.{max(decimals, 0)}f}"  # no '-0.0'
+    decimals = 1 - math.floor(math.log10(resolution))
+    text = f"{round(value, decimals):.{max(decimals, 0)}f}"
+    digits = decimals + math.floor(math.log10(abs(value)))  # behind the first
+    if (abs(value) if size is None else size) < SMALL or not float(text):
+        return f"{value:.{min(max(digits, 0), 5)}e}"
+    return f"{value:.{min(1 + max(0, digits), 6)}g}" if abs(value) >= 1e6 else text
 
 
 def with_sd(estimate: float, sd: float) -> str:
     """Estimate with sd: '0.7421 ± 0.0041'."""
-    return f"{rounded(estimate, sd)} ± {rounded(sd, sd)}"
+    size = max(abs(estimate), sd)
+    return f"{rounded(estimate, sd, size)} ± {rounded(sd, sd, size)}"
 
 
 def interval(lower: float, upper: float) -> str:
     """Interval: '0.735 to 0.749', with three digits of its width."""
-    step = (upper - lower) / 4.0
-    return f"{rounded(lower, step)} to {rounded(upper, step)}"
+    step, size = (upper - lower) / 4.0, max(abs(lower), abs(upper))
+    return f"{rounded(lower, step, size)} to {rounded(upper, step, size)}"
 
 
 def percent(fraction: float) -> str:

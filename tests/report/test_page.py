@@ -104,7 +104,9 @@ def test_columns_can_be_left_out() -> None:
             (5.21e-4, 3.0e-5, "5.21e-04 ± 3.0e-05"),
             (5e-4, 0.1, "5e-04 ± 0.10"),
         (1.0, float("nan"), "1 ± –"),
-        (-0.001, 0.25, "0.00 ± 0.25"),
+        (-0.001, 0.25, "-1e-03 ± 0.25"),
+            (0.0, 0.25, "0 ± 0.25"),
+            (0.005969, 6.8e-5, "0.005969 ± 0.000068"),
     ],
 )
 def test_an_estimate_has_the_digits_that_its_sd_leaves(estimate, sd, text) -> None:
