@@ -273,13 +273,13 @@ def _topics(logs: Sequence[Path], msg_path: Path | None) -> list[Topic]:
 def _with_tables(topics: Sequence[Topic], model: mujoco.MjModel) -> list[Topic]:
     """The topics, with tables replaced by the joint states and commands that their columns hold."""
     tables = [topic for topic in topics if topic.type == TABLE]
-    motors = [a for a in names_of(model, "actuator") if commanded(model, model.actuator(a).id) == "effort"]
     joints, alone = single_joints(model), len(tables) == 1
-    actuated, driven = (
-        [joint for joint in joints if joint in {joint_of(model, actuator) for actuator in some}]
-        for some in (names_of(model, "actuator"), motors)
-    )
-    held = [part for table in tables for part in topics_in(table, joints, actuated, driven, alone) or [table]]
+    drives = {
+        actuator: (joint, commanded(model, model.actuator(actuator).id))
+        for actuator in names_of(model, "actuator")
+        if (joint := joint_of(model, actuator)) in joints
+    }
+    held = [part for table in tables for part in topics_in(table, joints, drives, alone) or [table]]
     return [*(topic for topic in topics if topic.type != TABLE), *held]
 
 

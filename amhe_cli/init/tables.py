@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from amhe_cli.init.names import COMMANDS, KINDS, words
@@ -57,20 +57,24 @@ class _Meaning:
 
 
 def topics_in(
-    table: Topic, joints: Sequence[str], actuated: Sequence[str], driven: Sequence[str], alone: bool
+    table: Topic, joints: Sequence[str], drives: Mapping[str, tuple[str, str]], alone: bool
 ) -> list[Topic]:
     """Joint states, joint commands and poses that a table holds, each as a topic with its columns.
 
     Args:
         table: The table: its columns are its entries.
         joints: Single joints of the model, in its order.
-        actuated: Those with an actuator.
-        driven: Joints with an actuator that takes a torque.
-        alone: The log has no other table: its name means nothing, and measured torques of `driven` may be all
-            that drives the model.
+        drives: Actuator -> its joint, and the quantity that it takes.
+        alone: The log has no other table: its name means nothing, and measured torques of joints whose
+            actuators take torques may be all that drives the model.
     """
     named = "" if alone else table.name
-    meanings = [m for column in table.entries if (m := _meaning(named, column, joints)) is not None]
+    own = {_bare(name): one for name, one in drives.items() if _bare(name) not in map(_bare, joints)}
+    meanings = [m for column in table.entries if (m := _meaning(named, column, joints, own)) is not None]
+    actuated, driven = (
+        [joint for joint in joints if joint in {of for of, takes in drives.values() if takes in some}]
+        for some in (("position", "velocity", "effort"), ("effort",))
+    )
     head = named or "the table"
     states = _topic(head, table, [m for m in meanings if not m.command], joints, alone)
     given, name = [m for m in meanings if m.command], f"{head} command"
@@ -130,9 +134,14 @@ def with_columns(guess: Guess, topics: Sequence[Topic], alone: bool) -> None:
     guess.entry = ({} if alone else {"topic": topic.table}) | {"columns": columns} | rest
 
 
-def _meaning(table: str, column: str, joints: Sequence[str]) -> _Meaning | None:
+def _meaning(
+    table: str, column: str, joints: Sequence[str], drives: Mapping[str, tuple[str, str]]
+) -> _Meaning | None:
     name, _, count = column.removesuffix("]").partition("[")
     parts = [w for word in words(name) for w in re.findall(r"[a-z]+|\d+", word)]
+    if _bare(name) in drives:  # an actuator's name is its command
+        joint, quantity = drives[_bare(name)]
+        return _Meaning(name, quantity, True, 0, _bare(joint), int(count or 0))
     quantity = next((_QUANTITIES[word] for word in parts if word in _QUANTITIES), None)
     lerobot = _LEROBOT.match(name)
     driving = bool(_DRIVING & set(parts)) and not _SUPPLY & set(parts)

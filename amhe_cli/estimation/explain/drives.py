@@ -21,7 +21,7 @@ from amhe_cli.estimation.explain.candidate import (
     says,
     times,
 )
-from amhe_cli.estimation.explain.joints import LIMITS
+from amhe_cli.estimation.explain.joints import limits_of
 from amhe_cli.estimation.explain.regression import memory_of
 from amhe_cli.estimation.explain.unexplained import accelerations, scale_of
 from amhe_cli.system.model.elements import commanded, driven_joint, inputs_of
@@ -51,7 +51,7 @@ def drive_causes(maker: CauseMaker) -> Iterator[Cause]:
         servo = np.abs(by[:, a] - maker.commands[:, a]).max() > 0.0
         if servo and not _gain_is_free(maker, a):
             words = times(f"{name} gives", "of what the model says", -1.0)
-            yield Cause("gain", name, dofs, -values, words, against, lambda c, sd, n=name: _gain(n), 1.0)
+            yield Cause("gain", name, dofs, -values, words, against, lambda c, sd, n=name: _gain(n), 0.95)
         words = times(f"the command of {name} acts", "times as the model says")
         yield Cause("command", name, *maker.spread(maker.commands[None, :, a]), words, against)
         yield from _inside(maker, a)
@@ -101,7 +101,7 @@ def _inside(maker: CauseMaker, a: int) -> Iterator[Cause]:
     now, turn = maker.found.forces.by[:, a, j.dof], bias[0] + bias[1] * q
     fast = float(np.quantile(np.abs(v), 0.998))
     pull = gain * target + turn
-    pulls = [("servo limit", most, np.clip(pull, -most, most)) for most in np.quantile(np.abs(pull), LIMITS)]
+    pulls = [("servo limit", most, np.clip(pull, -most, most)) for most in limits_of(pull)]
     for most in np.quantile(np.abs(v), _FAST):
         moved = [_slewed(target[s], q[s], most * motion.period) for s in motion.stretches]
         pulls.append(("slew limit", most, gain * np.concatenate(moved) + turn))

@@ -33,8 +33,9 @@ NUMBERS = {
     ),
     "armature": ("an inertia of # {kg}", "dof_armature", "armature", "acceleration"),
 }
-#: Quantiles of a force or speed at which a limit is tried, and of positions at which a contact is.
-LIMITS, _PLACES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.92), (0.6, 0.7, 0.8, 0.9)
+#: Quantiles of a force or speed between which a limit is tried at several values; and of positions at which a
+#: contact is.
+_LIMITED, _TRIED, _PLACES = (0.1, 0.95), 11, (0.6, 0.7, 0.8, 0.9)
 #: Waves on a turn, of what repeats with the angle, and the fewest of them that the motion must pass.
 _WAVES, _PASSED = np.unique(np.geomspace(3, 60, 40).round()), 1.5
 #: Frequencies at which what repeats in time is looked for, and peaks of them that are tried.
@@ -213,10 +214,15 @@ def _friction(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
         yield maker.on(j, "stribeck", [j.way * np.exp(-np.abs(j.v / slow))], changes, "speed", at_rest)
 
 
+def limits_of(values: FloatArray) -> FloatArray:
+    """Values at which a limit of some (n,) is tried."""
+    low, high = np.quantile(np.abs(values), _LIMITED)
+    return np.geomspace(max(low, 1e-3 * high), high, _TRIED) if high > 0.0 else np.zeros(_TRIED)
+
+
 def _limits(maker: CauseMaker, j: MeasuredDof, forces: bool) -> Iterator[Cause]:
     """Ends of force and speed, and places where something touches."""
-    for quantile in LIMITS:
-        top, fast = np.quantile(np.abs(j.given), quantile), np.quantile(np.abs(j.v), quantile)
+    for top, fast in zip(limits_of(j.given), limits_of(j.v), strict=True):
         if forces and top > 0.0:
             words = says(f"its drive gives no more than about {top:.2g} {j.f}")
             yield maker.on(j, "force limit", [j.given - np.clip(j.given, -top, top)], words, most=0.0)

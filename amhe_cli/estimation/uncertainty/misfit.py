@@ -35,6 +35,8 @@ MISSED = 5.0
 WHITE = 2.0
 #: Things that a warning lists; of more, it gives the number.
 LISTED = 3
+#: Share of what a channel measured above which what is missed is no noise of a sensor.
+NOISY = 0.1
 
 
 def report_unsettled(fit: FinalFit) -> None:
@@ -80,12 +82,12 @@ def unexplained(fit: FinalFit) -> tuple[str, ...]:
             text = f"the model misses {key} by {scale:.0f} times its noise: {_remedy(system, key)}"
             missed, quantity = noise[key], key.partition(PART)[0].rsplit(".", 1)[1]
             advice = f"; if it cannot be better, declare what it misses, noise: {{{quantity}: {missed:.2g}}}"
-            texts.append(text + advice * (missed < moved[key]))
+            texts.append(text + advice * (missed < NOISY * moved[key]))
     return tuple(texts)
 
 
 def _scatter(observed: Observed) -> float:
-    """Sd of what one channel measured [SI]: who misses it by more predicts it worse than a constant would."""
+    """Sd of what one channel measured [SI]."""
     values = observed.measured[observed.mask]
     return float(np.sqrt(values.var(axis=0).mean()))
 
