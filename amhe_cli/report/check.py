@@ -58,7 +58,11 @@ def said_before(system: System, more: Iterable[Finding], console: Console | None
     Returns:
         The key `findings` of result.json.
     """
-    found = worst_first([*check_model(system.original.compile()), *more])
+    model, told = system.original.compile(), system.edits.apply(system.model, system.space.nominal)
+    if model.nv == told.nv:  # what parameters set is there
+        for field in ("dof_armature", "dof_damping", "dof_frictionloss"):
+            getattr(model, field)[:] = getattr(told, field)
+    found = worst_first([*check_model(model), *more])
     if found and console:
         others = f"; `amhe check` says more of the other {len(found) - _FEW}" if len(found) > _FEW else ""
         console.print(f"first of all, {_doubts(len(found))}{others}:", soft_wrap=True)
