@@ -1,5 +1,6 @@
 """What several rooms' tests share: a small log of a pendulum whose parameters are known."""
 
+import gc
 import os
 import shutil
 import signal
@@ -29,6 +30,12 @@ sys.dont_write_bytecode = False
 # What takes long on a busy machine is no failure.
 hypothesis.settings.register_profile("unhurried", deadline=None)
 hypothesis.settings.load_profile("unhurried")
+
+
+def pytest_collection_finish() -> None:
+    """What is imported by now stays to the end: no search for garbage needs to look through it again."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture
