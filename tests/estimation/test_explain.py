@@ -90,6 +90,20 @@ def test_the_simpler_of_two_that_explain_alike_is_named() -> None:
     assert [(one.index, one.rivals) for one in found] == [(1, (0,))]
 
 
+def test_two_causes_are_named_where_one_that_is_none_has_a_little_of_both() -> None:
+    """A mixture explains most alone, and needs two more to explain all; the two that are true explain all."""
+    rng = np.random.default_rng(3)
+    columns, noise = _columns(rng)
+    parts = [one.values[0] for one in columns]
+    mixture = CauseColumns((0,), (parts[2] + parts[3] + 0.3 * parts[4] + 0.3 * parts[5])[None], 1)
+    residual = parts[2] + parts[3] + 0.2 * noise
+
+    found, *_ = _regression(residual, columns[9].values).ladder([*columns[:9], mixture], rng)
+
+    assert sorted(one.index for one in found) == [2, 3]
+    assert min(one.share for one in found) > 0.2
+
+
 def test_what_cannot_be_is_not_named() -> None:
     """A coefficient beyond the largest that can be: less friction than the model has."""
     rng = np.random.default_rng(2)

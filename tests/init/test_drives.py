@@ -177,6 +177,20 @@ def test_a_column_that_names_a_command_and_a_joint_is_that_joints_target(tmp_pat
     assert command.columns == {"position": tuple(f"{joint}_cmd" for joint in JOINTS)}
 
 
+def test_a_column_that_is_named_as_an_actuator_is_its_command(tmp_path: Path) -> None:
+    (tmp_path / "robot.xml").write_text(
+        """<mujoco><worldbody><body><joint name="arm" axis="0 0 1"/><geom size="0.1" mass="1"/>
+        <body pos="0.2 0 0"><joint name="pendulum"/><geom size="0.02" pos="0 0 -0.2"/></body></body>
+        </worldbody><actuator><motor name="motor" joint="arm"/></actuator></mujoco>"""
+    )
+    rows = "".join(f"{0.01 * i:g},{0.1 * np.sin(0.2 * i):g},0.1,{0.2 * np.cos(i):g}\n" for i in range(200))
+    (tmp_path / "log.csv").write_text("time,arm,pendulum,motor\n" + rows)
+    init_system(tmp_path / "robot.xml", [tmp_path / "log.csv"], tmp_path / "out", actuators=True)
+    signals = {one.name: one for one in System.load(tmp_path / "out", warn=False).signals}
+    assert signals["command"].columns == {"effort": ("motor",)}
+    assert signals["joints"].columns["position"] == ("arm", "pendulum")
+
+
 def test_gravity_shows_no_zero_of_a_joint_that_turns_about_the_vertical(tmp_path: Path) -> None:
     log = bundled_logs()["arm"]
     guessed = init_system(bundled_models()["arm"], [log], tmp_path / "out", actuators=True).sentences

@@ -428,3 +428,13 @@ def test_a_joint_without_a_gap_is_refused_with_what_to_do() -> None:
             parameters={"gap": {"nominal": 0.02, "targets": [target]}},
             signals={"joints": {"joints": ["elbow"], "noise": {"position": 0.01}}},
         )
+
+
+def test_a_factor_on_a_joint_that_has_none_is_said_to_do_nothing(caplog: pytest.LogCaptureFixture) -> None:
+    spec = mujoco.MjSpec.from_string(
+        """<mujoco><worldbody><body><joint name="dry" frictionloss="0.1"/><geom size="0.1"/>
+        <body><joint name="free"/><geom size="0.1"/></body></body></worldbody></mujoco>"""
+    )
+    factor = {"prior_sd": 0.5, "targets": [{"joint": "*", "set": "friction_loss", "mode": "scale"}]}
+    System.from_model(spec, parameters={"p": factor}, signals={"joints": {"joints": ["dry", "free"]}})
+    assert "'p': a factor leaves at 0 what free has none of: give a nominal of its own" in caplog.text

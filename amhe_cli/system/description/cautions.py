@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import mujoco
 
-from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.errors import ConfigError, and_more
 from amhe_cli.system.parameters.contacts import geom_name, partners
 from amhe_cli.system.parameters.edits import Cells
 from amhe_cli.system.parameters.model_edits import ModelEdits
@@ -49,7 +49,7 @@ def caution(where: str, model: mujoco.MjModel, edits: ModelEdits) -> None:
 
 
 def _far_from_the_model(model: mujoco.MjModel, edits: ModelEdits) -> Iterator[tuple[str, str]]:
-    """Positive numbers that start far from the model's own, as of a value that is given as a factor."""
+    """Positive numbers that start far from the model's own, and those of joints that a factor leaves at 0."""
     try:
         started = edits.apply(model, edits.space.nominal)
     except ConfigError:  # said where it is simulated
@@ -59,6 +59,10 @@ def _far_from_the_model(model: mujoco.MjModel, edits: ModelEdits) -> Iterator[tu
         own, nominal = max(pairs, key=lambda pair: _apart(*pair), default=(1.0, 1.0))
         if parameter.log and _apart(own, nominal) > FAR:
             yield parameter.name, f"starts at {nominal:.3g}, where the model's own number is {own:.3g}"
+        dofs = [part.row for part in cells if part.field.startswith("dof_") and not part.of(started).any()]
+        if parameter.log and dofs:
+            names = and_more([model.joint(int(model.dof_jntid[row])).name for row in dofs], 3)
+            yield parameter.name, f"a factor leaves at 0 what {names} has none of: give a nominal of its own"
 
 
 def _apart(own: float, nominal: float) -> float:

@@ -217,6 +217,14 @@ def test_an_estimate_at_a_bound_says_so(side: int, text: str) -> None:
     assert text in texts(mass(evidence(z=z)))[0]
 
 
+def test_the_end_of_a_linear_scale_at_0_is_no_bound_that_decides() -> None:
+    """A joint without an armature: its interval says how large it may be."""
+    linear = Parameter("armature", "kg m^2", 0.1, 0.0, 1.0, False, 0.1)
+    space = ParameterSpace((*SPACE.parameters[:2], linear))
+    z = np.array([0.0, 0.0, space.bounds[0][2]])
+    assert not any(reason.kind == "bound" for reason in verdicts(space, evidence(z=z))[2].reasons)
+
+
 def test_parameters_that_are_known_only_together_name_each_other_and_their_product() -> None:
     covariance = 0.05**2 * np.array([[1.0, -0.98, 0.0], [-0.98, 1.0, 0.0], [0.0, 0.0, 1.0]])
     found = verdicts(SPACE, evidence(covariance=covariance))
