@@ -23,6 +23,7 @@ from amhe_cli.core.yaml_file import merged
 from amhe_cli.estimation.conclude import Search
 from amhe_cli.estimation.core.result import Identification, Iteration
 from amhe_cli.estimation.identification import IdentifyOptions, concluded, searched_for
+from amhe_cli.estimation.uncertainty.misfit import unexplained
 from amhe_cli.init.folder import Proposal
 from amhe_cli.system.system import System
 
@@ -31,6 +32,11 @@ _ROUNDS = 8
 #: Clips of the searches where motions are matched, and their length [s]: many short ones, along which even
 #: wrong numbers do not lead far away, show what is far off, and some of the usual length by how much.
 _CLIPS = ((16, 0.3), (12, None))
+#: The same where what is slow stands still in the short ones.
+_SLOW = 5
+#: Where a data sheet may be wrong by more than slopes show, in units of `Claim.wide`, and the share by which
+#: the cost must fall there.
+_FAR, _FALLS = (-2.0, -1.0, 1.0, 2.0), 0.1
 #: Share by which the cost may rise, by chance, where more is left open.
 _RISES = 1e-3
 #: Correlation from which two numbers are known only together.
@@ -141,13 +147,14 @@ def audit(
     # rollouts of all clips take their time, and data sheets are held against what some of them say
     search, doubted = None, Doubted()
     for clips, length in ((None, None),) if proposal.match == "effort" else _CLIPS:
-        among = partial(searched, clips=clips, length=length)
         try:
+            among = partial(searched, clips=clips, length=length)
             search, doubted = _without_suspects(among, claims, doubted, search)
         except EstimationError:
             if length is None:
                 raise
-            # what is slow stands still in short clips
+            among = partial(searched, clips=_SLOW, length=None)
+            search, doubted = _without_suspects(among, claims, doubted, search)
     assert search is not None
     found, system = concluded(search, quick=True), search.problem.system
     lines = _lines(system, found, claims, doubted.ever, logs)
@@ -178,9 +185,12 @@ def _without_suspects(
     suspects, ever = _suspects(search, claims, wide)
     ever |= doubted.ever
     for _ in range(_ROUNDS):
+        begin = search
+        if not suspects:
+            suspects, begin = _far_off(search, claims, wide | refused)
         if not suspects:
             break
-        tried = searched(wide | {*suspects}, search)
+        tried = searched(wide | {*suspects}, begin)
         if _cost(tried) <= (1.0 + _RISES) * _cost(search):
             search, wide, refused = tried, wide | {*suspects}, frozenset()
         elif len(suspects) > 1:
@@ -250,6 +260,35 @@ def _suspects(
         sd[left_open] = wide[left_open]
         evidence = evidence.with_priors(sd)
     return found, ever
+
+
+def _far_off(search: Search, claims: Sequence[Claim], known: Collection[Group]) -> tuple[list[Group], Search]:
+    """The group that is wrong by so much that no slope shows it, and the search to begin from there.
+
+    A servo whose file is fifty times too stiff feels the same if it is ten per cent softer. Where no value
+    near the file's explains the logs, each group is moved far away by itself; none is said where that does
+    not help.
+    """
+    problem, space, at = search.problem, search.problem.system.space, search.finding.z
+    if not unexplained(search.fit):
+        return [], search
+    moved: list[tuple[Group, FloatArray]] = []
+    rows = _rows(problem.system, claims)
+    for group in dict.fromkeys(claim.group for claim in claims if claim.group not in known):
+        own = [(row, claim.wide) for row, claim in zip(rows, claims, strict=True) if claim.group == group]
+        for far in _FAR:
+            step = np.zeros(len(at))
+            for row, wide in own:
+                step[row] = far * wide / space.prior_sd[row]
+            moved.append((group, space.clip(at + step)))
+    if not moved:
+        return [], search
+    costs = problem.cost(problem.clips, search.finding.scale).costs(np.stack((at, *(z for _, z in moved))))
+    best = int(np.argmin(costs[1:]))
+    if not costs[1 + best] < (1.0 - _FALLS) * costs[0]:
+        return [], search
+    group, z = moved[best]
+    return [group], replace(search, finding=replace(search.finding, z=z, straight=False))
 
 
 def _lines(
