@@ -262,7 +262,7 @@ def iteration(name: str, cores: int) -> list[str]:
         pool = ClipPool(system, [whole(log) for log in logs], system.settings.clips)
         problem = Problem(system, pool, engine, 0, threads=cores)
         state = replace(search.start(problem), number=begun)
-        _ = problem.rough, problem.reach
+        _ = problem.non_smooth, problem.sparsity
         for _ in range(repetitions):  # the first on a card captures its graphs
             start = time.perf_counter()
             search.advance(problem, replace(state, stage="explore"))

@@ -18,7 +18,7 @@ from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.core.result import AtHorizon
 from amhe_cli.estimation.offline.clips import split_held_out, whole
-from amhe_cli.estimation.validation.horizon import (
+from amhe_cli.estimation.validation.prediction import (
     HORIZONS,
     Compared,
     at_horizon,

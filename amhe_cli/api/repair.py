@@ -25,7 +25,7 @@ from amhe_cli.estimation.core.result import (
     Repair,
 )
 from amhe_cli.estimation.offline.clips import split_held_out, whole
-from amhe_cli.estimation.validation.horizon import improves, verdict
+from amhe_cli.estimation.validation.prediction import improves, verdict
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)

@@ -47,7 +47,7 @@ from amhe_cli.estimation.uncertainty.misfit import (
 from amhe_cli.estimation.uncertainty.parts import REFITS, estimates, parts, report_drift
 from amhe_cli.estimation.uncertainty.verdicts import Evidence, verdicts
 from amhe_cli.estimation.validation.held_out import fits, judge, profiles, validate, with_own_values
-from amhe_cli.estimation.validation.horizon import HORIZONS, STARTS, horizon_errors
+from amhe_cli.estimation.validation.prediction import HORIZONS, STARTS, horizon_errors
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
@@ -179,7 +179,7 @@ def _evidence(
         profiles={i: drawn[k] for i, k in enumerate(firsts) if alone[i] and k in drawn},
         rival=rival and replace(rival, z=lines.of(rival.z), differs=lines.of(rival.differs) > 0.0),
         doubled_prior=np.where(alone, moves[firsts], np.nan),
-        rough=problem.rough,
+        non_smooth=problem.non_smooth,
         means=lines.means,
     )
 
@@ -291,6 +291,6 @@ def _ledger(fit: FinalFit, rival: Rival | None, watch: Watch, quick: bool) -> tu
 def _profiles(fit: FinalFit, sd: FloatArray, watch: Watch) -> dict[int, tuple[FloatArray, FloatArray]]:
     """Cost along each parameter, as far as its sd of z (d,) demands; none where there is no time."""
     problem, points = fit.problem, fit.problem.settings.identify.profile_points
-    unknowns = problem.active.sum() if problem.reach is None else problem.reach.unknowns(False)
+    unknowns = problem.active.sum() if problem.sparsity is None else problem.sparsity.unknowns(False)
     rollouts = points * int(unknowns) * min(len(problem.clips), PROFILED)
     return profiles(fit, sd, points if watch.allows("cost profiles", rollouts) else 0)

@@ -14,7 +14,7 @@ from amhe_cli.core.belief import Belief
 from amhe_cli.core.files import json_text, plain
 from amhe_cli.estimation.core.agreement import Agreement
 from amhe_cli.estimation.core.result import AtHorizon, Identification
-from amhe_cli.estimation.validation.horizon import FEWEST, Compared
+from amhe_cli.estimation.validation.prediction import FEWEST, Compared
 from amhe_cli.report import numbers
 from amhe_cli.report.folder import results
 from amhe_cli.report.held_out import sized

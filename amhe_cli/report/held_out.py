@@ -9,7 +9,7 @@ import numpy as np
 from markupsafe import Markup
 
 from amhe_cli.estimation.core.result import HeldOut, HorizonError
-from amhe_cli.estimation.validation.horizon import FEWEST
+from amhe_cli.estimation.validation.prediction import FEWEST
 from amhe_cli.report import figures, numbers
 from amhe_cli.report.page import Section, Statement, cell
 from amhe_cli.report.tables import NUMBER, STRONG, Table

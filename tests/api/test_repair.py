@@ -16,7 +16,7 @@ from amhe_cli.api import repair
 from amhe_cli.cli.main import run
 from amhe_cli.core.yaml_file import YamlFile, scalar
 from amhe_cli.estimation.core.result import AtHorizon, Missing, MissingRow
-from amhe_cli.estimation.validation.horizon import improves
+from amhe_cli.estimation.validation.prediction import improves
 from amhe_cli.report.held_out import sized
 from amhe_cli.report.missing import repairs_table
 from tests.estimation.test_explain import XML, swung

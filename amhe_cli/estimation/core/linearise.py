@@ -8,7 +8,7 @@ clip's first-state error e (in units of its sd) are rolled out, and the residual
 as ensemble Kalman smoothers do (Evensen, Raanes and Stordal 2019). The samples of e follow what is known of
 it: its prior at first, and its posterior where a search has one already (posterior linearisation,
 Garcia-Fernandez et al. 2015), since a contact that is missed by a millimetre lies on no straight line. Where
-contacts make the model rough, r is the mean over the samples; where it is smooth, r is the residual itself.
+contacts make the model non-smooth, r is the mean over the samples; elsewhere, r is the residual itself.
 `information` turns the slopes into information of the clips about z.
 
 Samples are z + S w with w of unit variance: their shape S follows the valleys of the posterior. Where
@@ -18,7 +18,7 @@ along it.
 
 A regression needs a pair of rollouts for each unknown of one measurement, not for each unknown of all
 (Curtis, Powell and Reid 1974, "On the estimation of sparse Jacobian matrices"). The legs of a robot whose
-base is fixed move nothing of each other: four legs need the rollouts of one. `Reach` says what moves what.
+base is fixed move nothing of each other: four legs need the rollouts of one. `Sparsity` says what moves what.
 
 The residuals stay where the engine computed them, which may be a device: only sums over the samples are
 copied to the host.
@@ -133,7 +133,7 @@ def sampling_sd(shape: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reach:
+class Sparsity:
     """Which columns of each channel the unknowns move.
 
     Args:
@@ -286,7 +286,7 @@ def linearise(
     *,
     averaged: bool = False,
     straight: bool = False,
-    reach: Reach | None = None,
+    sparsity: Sparsity | None = None,
 ) -> Linearisation:
     """Linearise the residuals of every clip about z and its first-state error.
 
@@ -297,13 +297,13 @@ def linearise(
         shape: Samples are z + shape w with w of unit variance, shape (d, d).
         samples: Number of candidates; raised to two for each unknown of one residual.
         rng: Draws the directions.
-        averaged: Return the samples' mean as the residual, for a rough model, instead of the centre.
+        averaged: Return the samples' mean as the residual, for a non-smooth model, instead of the centre.
         straight: Take short steps to one side instead of pairs, where samples have shown that hardly anything
             bends in them: half of the rollouts, and no bend.
-        reach: What the unknowns move, where they do not move everything.
+        sparsity: What the unknowns move, where they do not move everything.
     """
     d, nx = z.size, first.mean.shape[1]
-    moves = None if reach is None else _moved(cost, reach, shape, first.shape)
+    moves = None if sparsity is None else _moved(cost, sparsity, shape, first.shape)
     columns = np.arange(d + nx) if moves is None else colours(moves)
     unknowns = int(columns.max()) + 1
     directions = orthogonal_directions(unknowns, max(unknowns, samples // 2), rng)[:, columns]
@@ -392,10 +392,10 @@ def orthogonal_directions(dimension: int, count: int, rng: np.random.Generator) 
     return np.concatenate(blocks)[:count] * np.sqrt(dimension)
 
 
-def _moved(cost: MatchingCost, reach: Reach, shape: FloatArray, first_shape: FloatArray) -> BoolArray:
+def _moved(cost: MatchingCost, sparsity: Sparsity, shape: FloatArray, first_shape: FloatArray) -> BoolArray:
     """Which residuals each coordinate w of the samples moves, shape (d + nx, R)."""
     d, nx = len(shape), first_shape.shape[1]
-    moves = reach.residuals(cost, nx > 0)
+    moves = sparsity.residuals(cost, nx > 0)
     parts = moved_along(moves[:d], shape), moved_along(moves[d:], np.abs(first_shape).sum(axis=0))
     return np.concatenate(parts)
 

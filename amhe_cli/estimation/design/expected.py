@@ -99,7 +99,7 @@ def expected(system: System, logs: Sequence[Log], *, threads: int = 1, seed: int
         profiles={},
         rival=None,
         doubled_prior=doubled_prior(fit),
-        rough=problem.rough,
+        non_smooth=problem.non_smooth,
     )
     each = problem.linearisation / len(few) * min(len(clips), settings.most)
     return Expected(

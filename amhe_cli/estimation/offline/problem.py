@@ -19,7 +19,7 @@ from amhe_cli.estimation.core.linearise import (
     WIDEST,
     FirstStates,
     Linearisation,
-    Reach,
+    Sparsity,
     diagonal,
     linearise,
     sampling_width,
@@ -38,15 +38,15 @@ SHORTEST = 1e-2
 COARSE = 1e-12
 #: Random clips drawn even from a log too short for them side by side.
 FEWEST = 8
-#: Even over odd response to small steps from which a model is rough.
-ROUGH = 0.02
+#: Even over odd response to small steps from which a model is non-smooth.
+NON_SMOOTH = 0.02
 #: Clips of each kind of log that show what the errors of a first state move.
 FEW = 2
 #: From this many times as many clips as can be fitted, those are chosen that tell most.
 WORTH = 2
 #: At most this many times as many clips are looked at for that.
 LOOKED_AT = 3
-#: Smallest sampling sd of a first state along any direction where the model is rough, in its recorded sd:
+#: Smallest sampling sd of a first state along any direction of a non-smooth model, in its recorded sd:
 #: slopes from narrower samples are jitter, and would count as knowledge of the first state.
 NARROWEST = 0.7
 #: Instants of the rollouts at which a missing contact is looked for.
@@ -157,8 +157,8 @@ class Problem:
         setting, d = self.settings.identify, len(self.system.space)
         fitted = setting.first_state != "never"
         unknowns = d + fitted * first_index(self.system).size
-        if self.reach is not None:
-            unknowns = self.reach.unknowns(fitted)
+        if self.sparsity is not None:
+            unknowns = self.sparsity.unknowns(fitted)
         return (2 * max(unknowns, setting.samples // 2) + 1) * len(self.clips)
 
     def linearised(
@@ -176,11 +176,11 @@ class Problem:
         Efforts along a motion never jitter: the shortest steps give their slopes exactly, where wider ones
         would bend along the valleys of numbers that only together are known well.
         """
-        samples, rough = self.settings.identify.samples, self.rough
+        samples, averaged = self.settings.identify.samples, self.non_smooth
         if self.system.match == "effort":
             straight, shape = True, SHORTEST * shape
         return linearise(
-            cost, z, first, shape, samples, rng, averaged=rough, straight=straight, reach=self.reach
+            cost, z, first, shape, samples, rng, averaged=averaged, straight=straight, sparsity=self.sparsity
         )
 
     def recorded(self, cost: MatchingCost) -> FirstStates:
@@ -190,9 +190,9 @@ class Problem:
 
     def first_states(self, told: Information, dz: FloatArray) -> FirstStates:
         """What the clips of an information know of their first states after a step of z (d,)."""
-        reach = self.reach if told.nuisance.shape[1] else None  # recorded first states have no errors
-        alike = None if reach is None else reach.first_alike
-        return told.first_states(dz, NARROWEST if self.rough else self.finest, alike)
+        sparsity = self.sparsity if told.nuisance.shape[1] else None  # recorded first states have no errors
+        alike = None if sparsity is None else sparsity.first_alike
+        return told.first_states(dz, NARROWEST if self.non_smooth else self.finest, alike)
 
     @property
     def finest(self) -> float:
@@ -242,10 +242,10 @@ class Problem:
         return np.any([columns.any(axis=1) for columns in moved.values()], axis=0) | diverged
 
     @cached_property
-    def reach(self) -> Reach | None:
+    def sparsity(self) -> Sparsity | None:
         """Which measurements the unknowns move; None: any may move all, as where something touches."""
         if self.whole is not None:
-            return self.whole.reach
+            return self.whole.sparsity
         moved, diverged = self._moved
         if self.touches or diverged.any():
             return None
@@ -254,23 +254,23 @@ class Problem:
         errors = np.concatenate((np.zeros((1, cost.nx)), np.eye(cost.nx)))
         first = np.repeat(errors[:, None], len(cost.clips.windows), axis=1)
         residuals = cost.residuals(z, first)
-        reach = Reach(moved, _moved_columns(cost, residuals))
+        sparsity = Sparsity(moved, _moved_columns(cost, residuals))
         unknowns = len(self.system.space) + cost.nx
-        return reach if residuals.completed.all() and reach.unknowns(True) < unknowns else None
+        return sparsity if residuals.completed.all() and sparsity.unknowns(True) < unknowns else None
 
     @property
     def alike(self) -> list[IntArray] | None:
         """The parameters that move the same measurements; None: all do."""
-        return None if self.reach is None else self.reach.alike
+        return None if self.sparsity is None else self.sparsity.alike
 
     @cached_property
-    def rough(self) -> bool:
+    def non_smooth(self) -> bool:
         """Whether residuals jitter under steps of half a percent, as behind chaotic contact.
 
-        A response bends for other reasons, too: without anything that touches, no model is rough.
+        A response bends for other reasons, too: without anything that touches, no model is non-smooth.
         """
         if self.whole is not None or not self.touches:
-            return self.whole is not None and self.whole.rough
+            return self.whole is not None and self.whole.non_smooth
         d = len(self.system.space)
         steps = np.diag(self.system.space.in_z(0.005) * self.active)
         middle = self._off_grid
@@ -279,7 +279,7 @@ class Problem:
         centre, plus, minus = np.split(cost.residuals(candidates).flat, [1, d + 1])
         odd = ((plus - minus) ** 2).sum(axis=(0, 2))  # (c,)
         even = ((plus + minus - 2.0 * centre) ** 2).sum(axis=(0, 2))
-        return bool(np.median(even) > ROUGH * np.median(odd))
+        return bool(np.median(even) > NON_SMOOTH * np.median(odd))
 
     @property
     def _off_grid(self) -> FloatArray:
@@ -368,10 +368,10 @@ def by_leverage(information: FloatArray, most: int) -> IntArray:
 def spread_floor(problem: Problem) -> FloatArray:
     """Smallest sampling sd of z, shape (d,): a share of the parameter, or of a linear one's prior sd.
 
-    On rough costs small steps measure the jitter of contacts, not the slope of the residuals; on smooth
+    On non-smooth costs small steps measure the jitter of contacts, not the slope of the residuals; on smooth
     ones they are exact, and large steps are not.
     """
-    share = problem.settings.identify.step if problem.rough else problem.finest
+    share = problem.settings.identify.step if problem.non_smooth else problem.finest
     return sampling_width(problem.system.space, share)
 
 

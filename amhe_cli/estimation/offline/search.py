@@ -51,7 +51,7 @@ REACH = 3.0
 ROUGHLY = 2
 #: Clips that are enough for them.
 FEW = 4
-#: Multiples of the Gauss-Newton step that are tried, which on rough costs is often too timid; 0 stays.
+#: Multiples of the Gauss-Newton step that are tried, which on non-smooth costs is often too timid; 0 stays.
 LINE = np.array([4.0, 2.0, 1.0, 0.5, 0.2, 0.0])
 #: Multiples that are tried first where nothing touches.
 WHOLE = np.array([1.0, 0.0])
@@ -65,7 +65,7 @@ CORRECTED = 3
 #: Where none of these helps, damped steps are tried: the share of each curvature that is added to it
 #: (Marquardt 1963).
 DAMPED = np.array([0.1, 1.0, 10.0, 100.0])
-#: Near its minimum a rough cost cannot distinguish a good step from none: the longest that completes is
+#: Near its minimum a non-smooth cost cannot distinguish a good step from none: the longest that completes is
 #: taken.
 BLIND_LINE = np.array([1.0, 0.5, 0.2])
 
@@ -82,7 +82,7 @@ class SearchState:
         scale: Channel -> residual sd over declared noise sd.
         record: One entry an iteration.
         settled: The last step was short, and the samples no wider than the posterior.
-        trail: Estimates after each step of polishing a rough cost, shape (k, d).
+        trail: Estimates after each step of polishing a non-smooth cost, shape (k, d).
         first: Posterior of the clips' first states; None: as recorded.
         straight: Nothing touches, and samples of this width hardly bend: short steps to one side do.
     """
@@ -158,7 +158,7 @@ def advance(problem: Problem, state: SearchState) -> SearchState:
     shape = _reshaped(problem, state, taken, information(slopes, straight=True), windows)
     number = state.number + 1
     trail = state.trail
-    if problem.rough and not exploring:
+    if problem.non_smooth and not exploring:
         trail = np.append(trail.reshape(-1, taken.z.size), taken.z[None], axis=0)
     still = taken.moved < SETTLED and not changed(sampling_sd(state.shape), sampling_sd(shape))
     # a step is short, too, while the misfit of an iteration before passes for noise
@@ -225,7 +225,7 @@ def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, to
         values = objective(cost, residuals, first, times, weight)
         return _Tried(line, z, first, residuals, values + quadratic_prior(z, np.zeros_like(state.z), prior))
 
-    blind = problem.rough and state.stage == "polish"
+    blind = problem.non_smooth and state.stage == "polish"
     line = BLIND_LINE if blind else LINE if problem.touches else WHOLE
     tried = [along(line, line[:, None] * step)]
     falls, stay = float((2.0 * whole - step) @ hessian @ step), tried[0].values[-1]

@@ -62,8 +62,10 @@ def assumed(fit: FinalFit) -> tuple[Term, tuple[str, ...]]:
         exact.append("time_step")
     changes = list(_changes(fit))
     values = [v for v in values if v.sd > 0.0]
-    moves = changes if problem.rough else []  # of jitter no regression says anything: the whole move counts
-    term = _regressed(fit, [] if problem.rough else changes, values)
+    moves = (
+        changes if problem.non_smooth else []
+    )  # of jitter no regression says anything: the whole move counts
+    term = _regressed(fit, [] if problem.non_smooth else changes, values)
     errors = np.concatenate((*(change.error[:, None] for change in moves), term.errors), axis=1)
     sources = (*(change.source for change in moves), *term.sources)
     return replace(term, errors=errors, sources=sources), tuple(dict.fromkeys(exact))
@@ -230,7 +232,7 @@ class _Nuisances:
         known, mean, moves = self.posterior
         # a number that the log seems to determine may be one whose samples bent: its whole sd counts here
         size = np.sqrt(np.maximum(known.diagonal() + mean**2, 1.0))
-        least = FELT_IN_JITTER if self.problem.rough else FELT
+        least = FELT_IN_JITTER if self.problem.non_smooth else FELT
         return np.flatnonzero((np.abs(moves * size) > least * self.fit.posterior.sd[:, None]).any(axis=0))
 
     def only(self, rows: IntArray) -> _Nuisances:
@@ -278,7 +280,7 @@ class _Nuisances:
         """Slopes from small samples, and alone; where contacts jitter, of one sd."""
         moves = np.zeros((len(self.fit.z), len(self.values)))
         turns = np.zeros((*self.fit.slopes.first.mean.shape, len(self.values)))
-        size = 1.0 if self.problem.rough else SMALL
+        size = 1.0 if self.problem.non_smooth else SMALL
         return self._with_changes(self._sampled(moves, turns, size))
 
     def _with_changes(self, slopes: FloatArray) -> FloatArray:

@@ -24,7 +24,7 @@ from amhe_cli.estimation.core.information import (
 from amhe_cli.estimation.core.linearise import (
     FirstStates,
     Linearisation,
-    Reach,
+    Sparsity,
     bounded,
     changed,
     colours,
@@ -191,7 +191,7 @@ class FinalFit:
         """Autocorrelation time of each channel's residuals, in samples."""
         return channel_times(self.slopes.cost, self.information.residual, self.slopes.completed)
 
-    def costs_along(self, rows: IntArray, values: FloatArray, reach: Reach | None) -> FloatArray:
+    def costs_along(self, rows: IntArray, values: FloatArray, sparsity: Sparsity | None) -> FloatArray:
         """Mean cost of some clips with one parameter moved at a time, first states fitted along.
 
         Parameters that move different measurements are moved in the same rollouts, and their costs put
@@ -200,7 +200,7 @@ class FinalFit:
         Args:
             rows: Which parameters, shape (m,).
             values: What each of them is set to, in z, shape (m, p).
-            reach: What the parameters move, where they do not move everything.
+            sparsity: What the parameters move, where they do not move everything.
 
         Returns:
             Costs, shape (m, p).
@@ -214,8 +214,8 @@ class FinalFit:
             first = self.information.first(z - self.z)[:, clips]
             return first if first.shape[2] else None
 
-        if reach is not None:
-            together = colours(reach.residuals(cost, False)[rows])
+        if sparsity is not None:
+            together = colours(sparsity.residuals(cost, False)[rows])
             here = cost.residuals(self.z[None], first_states(self.z[None])).values
         for colour in range(together.max() + 1):
             some = np.flatnonzero(together == colour)
@@ -223,7 +223,7 @@ class FinalFit:
             z[:, rows[some]] = values[some].T
             residuals = cost.residuals(z, first_states(z))
             for i in some:
-                moved = residuals if reach is None else reach.alone(rows[i], cost, residuals, here)
+                moved = residuals if sparsity is None else sparsity.alone(rows[i], cost, residuals, here)
                 alone = np.repeat(self.z[None], len(z), axis=0)
                 alone[:, rows[i]] = values[i]
                 first = self.information.first(alone - self.z)[:, clips]
@@ -242,7 +242,7 @@ def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) ->
     shape = finding.shape if searched else diagonal(SMALL, problem.active)
     scale, first = finding.scale, finding.first if searched else None
     # the last steps of the search have sampled in this shape and fitted the first states
-    shaped = searched and first is not None and (problem.rough or finding.settled)
+    shaped = searched and first is not None and (problem.non_smooth or finding.settled)
     for turn in range(TURNS):
         slopes = _linearised(problem, finding.z, scale, shape, first, turn)
         told = information(slopes)

@@ -96,7 +96,7 @@ def second_minimum(fit: FinalFit) -> Rival | None:
     """
     problem = fit.problem
     linear = problem.system.match == "effort" and linear_in(problem.system.edits)
-    if linear or problem.rough:  # contacts that jitter make rises everywhere
+    if linear or problem.non_smooth:  # contacts that jitter make rises everywhere
         return None
     part, space, covariance = _part(fit), fit.space, fit.posterior.covariance
     cost = part.cost(part.clips)

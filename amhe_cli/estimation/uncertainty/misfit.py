@@ -40,10 +40,10 @@ NOISY = 0.1
 
 
 def report_unsettled(fit: FinalFit) -> None:
-    """Warn of a search that stopped on its way; on a rough cost the steps never get short."""
+    """Warn of a search that stopped on its way; on a non-smooth cost the steps never get short."""
     finding, space = fit.finding, fit.space
     left = np.abs(fit.left) / fit.posterior.sd
-    moving = isinstance(finding, SearchState) and not (finding.settled or fit.problem.rough)
+    moving = isinstance(finding, SearchState) and not (finding.settled or fit.problem.non_smooth)
     costs = [i.cost for i in finding.record if i.stage == "polish"][-STALLED:]
     if len(costs) < STALLED:
         unsettled = moving or left.max() > UNSETTLED

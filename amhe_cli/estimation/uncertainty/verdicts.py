@@ -52,7 +52,7 @@ class Evidence:
         profiles: Column -> (theta values (K,), costs (K,)).
         rival: A second minimum.
         doubled_prior: Where the estimate would move if each parameter's prior sd were doubled, shape (d,).
-        rough: The response jitters, as behind contacts.
+        non_smooth: The response jitters, as behind contacts.
         means: Names of the values that common means are of, by the means' names.
     """
 
@@ -65,7 +65,7 @@ class Evidence:
     profiles: Mapping[int, tuple[FloatArray, FloatArray]]
     rival: Rival | None
     doubled_prior: FloatArray
-    rough: bool = False
+    non_smooth: bool = False
     means: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     correlations: FloatArray = field(init=False)
 
@@ -190,7 +190,7 @@ def _of_terms(space: ParameterSpace, evidence: Evidence, i: int, total: float) -
             text = evidence.rival.text(space, i)
         elif term.kind in _TEXTS:
             text = _TEXTS[term.kind]
-            if term.kind == "curvature" and evidence.rough:
+            if term.kind == "curvature" and evidence.non_smooth:
                 text = "the response is jagged: the value hangs on details of contact, and its sd is rough"
         else:
             continue

@@ -325,7 +325,7 @@ def profiles(fit: FinalFit, sd: FloatArray, points: int) -> dict[int, tuple[Floa
     lower, upper = (bound[columns] for bound in space.bounds)
     middle = z[columns]
     values = np.linspace(np.maximum(lower, middle - reach), np.minimum(upper, middle + reach), points, axis=1)
-    costs = fit.costs_along(columns, values, fit.problem.reach)
+    costs = fit.costs_along(columns, values, fit.problem.sparsity)
     candidates = np.repeat(z[None], columns.size * points, axis=0).reshape(columns.size, points, -1)
     candidates[np.arange(columns.size), :, columns] = values
     theta = space.theta_of(candidates)

@@ -161,20 +161,20 @@ def problem(system: System, log: Log) -> Problem:
 
 def test_a_model_without_contacts_is_smooth_however_its_response_bends(monkeypatch, pendulum, swing):
     cube = System.load("cube_toss", {**CHEAP, "clips": {"count": 4, "length": [0.1, 0.2]}})
-    monkeypatch.setattr(module, "ROUGH", -1.0)  # any response passes for bent
-    assert not problem(pendulum, swing(2.0)).rough
-    assert problem(cube, fall(cube)).rough
+    monkeypatch.setattr(module, "NON_SMOOTH", -1.0)  # any response passes for bent
+    assert not problem(pendulum, swing(2.0)).non_smooth
+    assert problem(cube, fall(cube)).non_smooth
 
 
 def test_the_kink_of_a_command_delay_on_the_command_grid_is_no_roughness(monkeypatch, delayed, swing):
     """At a delay of ten time steps the even response is 0.0025 of the odd one; between them it vanishes."""
     monkeypatch.setattr(Problem, "touches", True)
-    monkeypatch.setattr(module, "ROUGH", 1e-4)
+    monkeypatch.setattr(module, "NON_SMOOTH", 1e-4)
     monkeypatch.setattr(Problem, "active", np.array([False, False, False, False, True]))
     found = problem(delayed, swing(3.0))
-    assert not found.rough
+    assert not found.non_smooth
     monkeypatch.setattr(Problem, "_off_grid", np.zeros(5))
-    assert problem(delayed, swing(3.0)).rough, "on the grid it is"
+    assert problem(delayed, swing(3.0)).non_smooth, "on the grid it is"
 
 
 @pytest.mark.parametrize(("height", "touches"), [(0.5, False), (0.04, True)])

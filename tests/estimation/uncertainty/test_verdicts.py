@@ -205,7 +205,7 @@ def test_a_number_that_was_given_excuses_no_contradiction(error: float, verdict:
 
 def test_only_a_rough_model_hangs_on_contact() -> None:
     bent = term("curvature", 0.3)
-    assert "details of contact" in texts(mass(evidence(0.05, bent, rough=True)))[0]
+    assert "details of contact" in texts(mass(evidence(0.05, bent, non_smooth=True)))[0]
     assert "contact" not in texts(mass(evidence(0.05, bent)))[0]
 
 
@@ -267,8 +267,8 @@ def test_a_profile_passes_through_the_estimate_within_the_bounds() -> None:
     fit: Any = SimpleNamespace(
         space=SPACE,
         z=z,
-        problem=SimpleNamespace(active=np.array([True, False, True]), reach=None),
-        costs_along=lambda rows, at, reach: (at - z[rows, None]) ** 2,
+        problem=SimpleNamespace(active=np.array([True, False, True]), sparsity=None),
+        costs_along=lambda rows, at, sparsity: (at - z[rows, None]) ** 2,
     )
     found = profiles(fit, sd, points=11)
     assert set(found) == {0, 2}

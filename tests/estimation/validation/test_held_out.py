@@ -18,7 +18,7 @@ from amhe_cli.estimation.core.result import AtHorizon, Identification
 from amhe_cli.estimation.identification import IdentifyOptions, identify
 from amhe_cli.estimation.uncertainty.fit import Scored
 from amhe_cli.estimation.validation.held_out import misses_more, worse
-from amhe_cli.estimation.validation.horizon import (
+from amhe_cli.estimation.validation.prediction import (
     STARTS,
     ClipErrors,
     at_horizon,

@@ -96,8 +96,8 @@ def test_unknowns_that_move_no_common_measurement_have_one_colour() -> None:
 
 
 def test_arms_side_by_side_share_rollouts_and_arms_in_a_row_do_not(apart: Problem) -> None:
-    assert apart.reach is not None and problem(apart=False).reach is None
-    assert apart.reach.unknowns(first=True) == 5, "of nine: a damping, an armature, a delay, a first state"
+    assert apart.sparsity is not None and problem(apart=False).sparsity is None
+    assert apart.sparsity.unknowns(first=True) == 5, "of nine: a damping, an armature, a delay, a first state"
     assert [list(group) for group in apart.alike or []] == [[2, 3], [0, 1], [4]]
 
 
@@ -105,11 +105,13 @@ def test_arms_side_by_side_share_rollouts_and_arms_in_a_row_do_not(apart: Proble
 def test_slopes_of_many_clips_take_half_the_memory_where_nothing_touches(
     shared: bool, apart: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    cost, z, reach = apart.cost(apart.clips), np.full(5, 0.2), apart.reach if shared else None
+    cost, z, sparsity = apart.cost(apart.clips), np.full(5, 0.2), apart.sparsity if shared else None
     first = FirstStates.recorded(len(apart.clips), cost.nx)
 
     def slopes() -> np.ndarray:
-        return linearise(cost, z, first, 1e-3 * np.eye(5), 0, np.random.default_rng(0), reach=reach).gain
+        return linearise(
+            cost, z, first, 1e-3 * np.eye(5), 0, np.random.default_rng(0), sparsity=sparsity
+        ).gain
 
     whole = slopes()
     monkeypatch.setattr("amhe_cli.estimation.core.linearise.TURN_BYTES", 1000)
@@ -120,8 +122,8 @@ def test_slopes_of_many_clips_take_half_the_memory_where_nothing_touches(
 
 def test_what_touches_may_move_everything(apart: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Problem, "touches", True)
-    assert apart.part(np.arange(3)).reach is apart.reach, "a part knows what the whole knows"
-    assert Problem(apart.system, apart.pool, apart.engine, 0).reach is None
+    assert apart.part(np.arange(3)).sparsity is apart.sparsity, "a part knows what the whole knows"
+    assert Problem(apart.system, apart.pool, apart.engine, 0).sparsity is None
 
 
 @pytest.mark.parametrize("straight", [False, True])
@@ -129,11 +131,11 @@ def test_slopes_are_the_same_with_fewer_rollouts(apart: Problem, straight: bool)
     cost = apart.cost(apart.clips)
     z, first = np.full(5, 0.2), FirstStates.recorded(len(apart.clips), cost.nx)
 
-    def slopes(reach, straight):
+    def slopes(sparsity, straight):
         rng = np.random.default_rng(0)
-        return linearise(cost, z, first, 1e-3 * np.eye(5), 0, rng, reach=reach, straight=straight)
+        return linearise(cost, z, first, 1e-3 * np.eye(5), 0, rng, sparsity=sparsity, straight=straight)
 
-    dense, shared = slopes(None, False), slopes(apart.reach, straight)
+    dense, shared = slopes(None, False), slopes(apart.sparsity, straight)
     assert shared.rollouts == (6 if straight else 11) * len(apart.clips)
     assert dense.rollouts == 19 * len(apart.clips)
     size = np.sqrt((dense.gain**2).mean(axis=(0, 2)))
@@ -174,7 +176,7 @@ def test_cost_profiles_are_the_same_with_fewer_rollouts(
         "residuals",
         lambda self, z, first=None: counted.append(len(z)) or inside(self, z, first),
     )
-    together, shared = fit.costs_along(rows, values, apart.reach), sum(counted)
+    together, shared = fit.costs_along(rows, values, apart.sparsity), sum(counted)
     np.testing.assert_allclose(together, fit.costs_along(rows, values, None), rtol=1e-6)
     assert shared == 1 + 3 * 3 and sum(counted) - shared == 5 * 3
 
