@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from dataclasses import fields as dataclass_fields
 from heapq import heapreplace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,50 +72,44 @@ def joined(jobs: Sequence[Job]) -> Job:
     if len(jobs) == 1:
         return jobs[0]
     history, steps = max(job.history for job in jobs), max(int(job.lengths.max()) for job in jobs)
-    longest, width = (max(job.queue.shape[1] for job in jobs), max(job.delays.shape[1] for job in jobs))
-    inputs, delays, rows = [], [], []
+    longest, width = max(job.queue.shape[1] for job in jobs), max(job.delays.shape[1] for job in jobs)
+    parts: dict[str, list[Any]] = {each.name: [] for each in dataclass_fields(Job)}
+    candidates = clips = rollouts = 0
     for job in jobs:
-        own = job.inputs[:, : job.history + int(job.lengths.max())]
-        # beyond its ends a history holds its first and last input, and no row is wanted past the last step
-        more = (
-            (0, 0),
-            (history - job.history, history + steps - own.shape[1] - (history - job.history)),
-            (0, 0),
-        )
-        inputs.append(np.pad(own, more, mode="edge"))
-        delays.append(np.broadcast_to(job.delays, (len(job.delays), width)))
-        rows.append([wanted.rows for wanted in job.wanted])
-
-    def beside(name: str, counts: Sequence[int]) -> IntArray:
-        firsts = np.cumsum([0, *counts[:-1]])
-        return np.concatenate([first + getattr(job, name) for first, job in zip(firsts, jobs, strict=True)])
-
-    firsts = np.cumsum([0, *(len(job.clip) for job in jobs[:-1])])
-    queues = [
-        np.pad(np.where(job.queue < 0, -1, first + job.queue), ((0, 0), (0, longest - job.queue.shape[1])),
-               constant_values=-1)
-        for first, job in zip(firsts, jobs, strict=True)
-    ]  # fmt: skip
-    wanted = []
-    for each in zip(*(job.wanted for job in jobs), strict=True):
-        most = max(one.rows.shape[1] for one in each)
-        filled = [
-            np.pad(one.rows, ((0, 0), (0, most - one.rows.shape[1])), constant_values=steps) for one in each
-        ]
-        wanted.append(Wanted(each[0].source, np.concatenate(filled), each[0].columns))
+        before, own = history - job.history, job.inputs[:, : job.history + int(job.lengths.max())]
+        # beyond its ends a history holds its first and last input
+        ends = (0, 0), (before, history + steps - own.shape[1] - before), (0, 0)
+        queue = np.full((len(job.queue), longest), -1)
+        queue[:, : job.queue.shape[1]] = np.where(job.queue < 0, -1, rollouts + job.queue)
+        moved = {
+            "delays": np.broadcast_to(job.delays, (len(job.delays), width)),
+            "inputs": np.pad(own, ends, mode="edge"),
+            "candidate": candidates + job.candidate,
+            "clip": clips + job.clip,
+            "queue": queue,
+        }
+        for name, values in parts.items():
+            values.append(moved.get(name, getattr(job, name)))
+        candidates, clips = candidates + len(job.delays), clips + len(job.lengths)
+        rollouts += len(job.clip)
+    fields, wanted = parts.pop("fields"), zip(*parts.pop("wanted"), strict=True)
+    del parts["history"]
     return Job(
-        fields={name: np.concatenate([job.fields[name] for job in jobs]) for name in jobs[0].fields},
-        delays=np.concatenate(delays),
-        inputs=np.concatenate(inputs),
+        fields={name: np.concatenate([each[name] for each in fields]) for name in fields[0]},
         history=history,
-        lengths=np.concatenate([job.lengths for job in jobs]),
-        candidate=beside("candidate", [len(job.delays) for job in jobs]),
-        clip=beside("clip", [len(job.lengths) for job in jobs]),
-        queue=np.concatenate(queues),
-        qpos=np.concatenate([job.qpos for job in jobs]),
-        qvel=np.concatenate([job.qvel for job in jobs]),
-        wanted=wanted,
+        wanted=[_beside(each, steps) for each in wanted],
+        **{name: np.concatenate(values) for name, values in parts.items()},
     )
+
+
+def _beside(wanted: Sequence[Wanted], steps: int) -> Wanted:
+    """What is wanted of some clips and of others; no row is wanted past the last step."""
+    rows = np.full((sum(len(one.rows) for one in wanted), max(one.rows.shape[1] for one in wanted)), steps)
+    at = 0
+    for one in wanted:
+        rows[at : at + len(one.rows), : one.rows.shape[1]] = one.rows
+        at += len(one.rows)
+    return replace(wanted[0], rows=rows)
 
 
 def queues(lengths: IntArray, count: int, cost: StepCost) -> IntArray:
