@@ -1,0 +1,42 @@
+"""A file that is wrong by far more than slopes show is found out by its motion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from amhe_cli.audit.audit import audit
+from amhe_cli.estimation.identification import IdentifyOptions
+from amhe_cli.init.folder import proposed
+from amhe_cli.logs import read_log
+
+ARM = """<mujoco><option timestep='0.002'/><worldbody><body name='arm'>
+<joint name='elbow' axis='0 1 0' damping='0.2' armature='0.01'/>
+<inertial pos='0.2 0 0' mass='0.5' diaginertia='0.001 0.004 0.004'/>
+</body></worldbody>
+<actuator><position name='servo' joint='elbow' kp='{}' kv='0.1' forcerange='-3 3'/></actuator></mujoco>"""
+STIFF, SOFT = 400.0, 12.0
+
+
+@pytest.mark.medium
+def test_a_servo_that_is_thirty_times_too_stiff_in_its_file_is_contradicted(tmp_path: Path) -> None:
+    rng, model = np.random.default_rng(0), mujoco.MjModel.from_xml_string(ARM.format(SOFT))
+    data, times = mujoco.MjData(model), np.arange(0.0, 8.0, 0.01)
+    targets = 0.5 * np.sin(3.0 * times) + 0.3 * np.sin(9.0 * times)
+    rows = []
+    for target in targets:
+        rows.append((data.qpos[0] + 3e-4 * rng.standard_normal(), target))
+        data.ctrl[0] = target
+        mujoco.mj_step(model, data, 5)
+    log, file = tmp_path / "log.csv", tmp_path / "arm.xml"
+    table = np.column_stack((times, np.array(rows)))
+    head = "time,position_elbow,command_position_servo"
+    np.savetxt(log, table, fmt="%.6g", delimiter=",", header=head, comments="")
+    file.write_text(ARM.format(STIFF), encoding="utf-8")
+    proposal = proposed(file, [log], efforts=True)
+    found = audit(proposal, "arm", lambda system: [read_log(log, system)], IdentifyOptions(threads=1))
+    (gain,) = [line for line in found.lines if line.parameter == "servo_gain"]
+    assert gain.verdict == "contradicted" and abs(gain.log - SOFT) < 4.0 * gain.sd + 0.1 * SOFT
