@@ -21,7 +21,7 @@ ARM = """<mujoco><option timestep='0.002'/><worldbody><body name='arm'>
 STIFF, SOFT = 400.0, 12.0
 
 
-@pytest.mark.medium
+@pytest.mark.slow
 def test_a_servo_that_is_thirty_times_too_stiff_in_its_file_is_contradicted(tmp_path: Path) -> None:
     rng, model = np.random.default_rng(0), mujoco.MjModel.from_xml_string(ARM.format(SOFT))
     data, times = mujoco.MjData(model), np.arange(0.0, 8.0, 0.01)
