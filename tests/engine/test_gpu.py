@@ -184,7 +184,7 @@ def test_processes_share_the_cards_of_another_one(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr("amhe_cli.engine.open.visible_cards", lambda: ["cpu"])
     with shared_cards("gpu") as kind, ProcessPoolExecutor(3, get_context("spawn")) as executor:
         for found in executor.map(partial(asked, kind), 3 * [arguments]):
-            np.testing.assert_array_equal(found, alone.values[0])
+            np.testing.assert_array_equal(found, to_host(alone.values[0]))
         spec = mujoco.MjSpec.from_file(str(PENDULUM.folder / "scene.xml"))  # type: ignore[operator]
         solver(spec)
         with pytest.raises(SimulationError, match="cannot simulate this model: .*PGS"):

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import logging
 import os
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from threading import Lock
+from threading import Lock, get_native_id
 from typing import Any
 
 import mujoco
@@ -76,9 +77,15 @@ def load_together(device: Any, launches: Callable[[], object]) -> None:
         logger.debug("not all kernels can be loaded side by side: %s", error)
     finally:
         kind.load = load
-    with ThreadPoolExecutor(os.cpu_count()) as threads:
+    with ThreadPoolExecutor(os.cpu_count(), initializer=_stand_back) as threads:
         for module, block_dim in needed:
             threads.submit(load, module, device, block_dim)
+
+
+def _stand_back() -> None:
+    """Leave the cores to rollouts on them, where the system knows priorities of threads."""
+    if sys.platform == "linux":
+        os.setpriority(os.PRIO_PROCESS, get_native_id(), 19)
 
 
 class _Launch:
