@@ -118,7 +118,7 @@ def _forced(
                 cause.kind,
                 cause.place,
                 cause.words(one.coefficients, one.sd),
-                min(one.share, 1.0),
+                float(np.clip(one.share, 0.0, 1.0)),
                 tuple(rivals),
                 cause.repair(one.coefficients, one.sd) if cause.repair else {},
                 (*cause.against(), _force(mass, left, dofs)[:, own] + explained, explained),

@@ -145,7 +145,7 @@ class Regression:
         rng: np.random.Generator,
         error: Callable[[], FloatArray] | None = None,
     ) -> tuple[list[Explained], float, FloatArray, FloatArray]:
-        """Candidates that explain more than chance, that which explains most first.
+        """Candidates that explain more than chance; that first without which the others leave most.
 
         Args:
             candidates: The candidates.
@@ -366,7 +366,7 @@ class _Search:
         return self.made.falls(x, self._signs, left)
 
     def found(self) -> list[int]:
-        """The simplest of the sets that explain as much as the best, that which explains most first."""
+        """The simplest of the sets that explain as much as the best, what the others need most first."""
         sets = {tuple(sorted(self._grown([first]))) for first in self._firsts()}
         sets = {tuple(sorted(self._needed(list(one)))) for one in sets}
         little = LITTLE * (self.made.of.left_by(self.made, ()) ** 2).sum()
@@ -381,7 +381,8 @@ class _Search:
 
         same = [one for one in sets if alike(one)]
         simplest = min(same, key=lambda one: (self._numbers(one), losses[one].sum()))
-        return self._ordered(list(simplest))
+        without = {i: self.falls([one for one in simplest if one != i])[i].sum() for i in simplest}
+        return sorted(simplest, key=lambda i: -without[i])
 
     def _numbers(self, some: Sequence[int]) -> int:
         return sum(self._candidates[i].numbers for i in some)
@@ -478,12 +479,3 @@ class _Search:
         """By how much a candidate explains more beside others than chance and the method's own error."""
         chance = np.quantile(self.chance(rest, index)[index], 1.0 - LEVEL)
         return float(self.falls(rest)[index].sum() - max(chance, self._least[index]))
-
-    def _ordered(self, some: list[int]) -> list[int]:
-        """That which explains most first, then that which explains most beside it."""
-        found: list[int] = []
-        while some:
-            total = self.falls(found).sum(axis=1)
-            found.append(max(some, key=lambda i: total[i]))
-            some.remove(found[-1])
-        return found
