@@ -208,7 +208,7 @@ def print_identification(
     if folder is not None:
         for line in (
             f"report: {folder / 'report.html'}",
-            *next_steps(folder, (folder / "view.html").exists()),
+            *next_steps(result, folder, (folder / "view.html").exists()),
         ):
             console.print(Text(line, overflow="fold"), soft_wrap=True)
 

@@ -260,18 +260,21 @@ def _sections(result: Identification, record: Mapping[str, Any], seen: Beside) -
         )
     yield _data_section(result)
     if folder := record.get("out"):
-        yield Section("Next", items=next_steps(folder, bool(seen.page)), files=True, folded=False)
+        yield Section("Next", items=next_steps(result, folder, bool(seen.page)), files=True, folded=False)
 
 
-def next_steps(folder: str | Path, view: bool) -> list[str]:
-    """What to do next, to look at a result (if it has a view), to use it and to randomise with it."""
+def next_steps(result: Identification, folder: str | Path, view: bool) -> list[str]:
+    """What to do next: look at it (if it has a view), then use it, or mend a model that misses its logs."""
     quoted = shlex.quote(str(folder))
     without = f"{quoted}/report.html (there is no view: no motion is predicted)"
-    return [
-        f"look: {f'amhe view {quoted}' if view else without}",
-        f"use: {quoted}/identified.xml",
-        f"randomise: amhe export --to mjlab {quoted}/belief.yaml",
-    ]
+    look = f"look: {f'amhe view {quoted}' if view else without}"
+    rows = result.missing.rows if result.missing and not result.repairs else ()
+    names = [] if any(row.in_log for row in rows) else [row.name for row in rows if row.repair]
+    mend = [f"mend: the same command with --repair, which tries {numbers.some(names)}"] if names else []
+    if result.unexplained:
+        return [look, *mend]
+    use = f"use: {quoted}/identified.xml", f"randomise: amhe export --to mjlab {quoted}/belief.yaml"
+    return [look, *mend, *use]
 
 
 def overlay_section(fits: Sequence[Fit], seen: Beside = ALONE) -> Section:

@@ -19,6 +19,8 @@ from amhe_cli.estimation.core.result import (
     HeldOut,
     HorizonError,
     Identification,
+    Missing,
+    MissingRow,
     ParameterResult,
     Reason,
 )
@@ -30,7 +32,7 @@ from amhe_cli.report.identification import (
     print_identification,
     write_identification,
 )
-from amhe_cli.report.identification_page import ALONE, Beside, identification_page, statements
+from amhe_cli.report.identification_page import ALONE, Beside, identification_page, next_steps, statements
 from amhe_cli.system.system import System
 from tests.report.synthetic import fit, identification, parameter
 from tests.view.browser import browser, needs_chromium
@@ -120,6 +122,21 @@ def test_the_page_names_the_command_that_shows_its_result() -> None:
         "<li>look: amhe view &#39;my result&#39;</li>" in html and 'href="view.html#clip=2&amp;t=1.5"' in html
     )
     assert "amhe view" not in identification_page(result, record, ORIGIN), "efforts have no view"
+
+
+def test_what_to_do_next_is_to_mend_a_model_that_misses_its_logs() -> None:
+    zeros = np.zeros(3)
+    row = MissingRow("spring", "hip", "a spring", 0.9, (), {"hip_stiffness": {}}, ("q", zeros, zeros, zeros))
+    missed = replace(identification(), unexplained=("it misses",), missing=Missing((row,), 0.02, 9))
+    assert next_steps(missed, "r", True) == [
+        "look: amhe view r",
+        "mend: the same command with --repair, which tries spring@hip",
+    ]
+    assert [line.split(":")[0] for line in next_steps(identification(), "r", True)] == [
+        *("look", "use", "randomise")
+    ]
+    in_log = replace(missed, missing=Missing((replace(row, against=None), row), 0.02, 9))
+    assert next_steps(in_log, "r", True) == ["look: amhe view r"]
 
 
 def test_of_many_parameters_those_that_are_priors_have_a_part_of_their_own() -> None:
