@@ -270,7 +270,7 @@ def next_steps(result: Identification, folder: str | Path, view: bool) -> list[s
     look = f"look: {f'amhe view {quoted}' if view else without}"
     rows = result.missing.rows if result.missing and not result.repairs else ()
     names = [] if any(row.in_log for row in rows) else [row.name for row in rows if row.repair]
-    mend = [f"mend: the same command with --repair, which tries {numbers.some(names)}"] if names else []
+    mend = [f"mend: amhe identify with --repair tries {numbers.some(names)}"] if names else []
     if result.unexplained:
         return [look, *mend]
     use = f"use: {quoted}/identified.xml", f"randomise: amhe export --to mjlab {quoted}/belief.yaml"

@@ -130,7 +130,7 @@ def test_what_to_do_next_is_to_mend_a_model_that_misses_its_logs() -> None:
     missed = replace(identification(), unexplained=("it misses",), missing=Missing((row,), 0.02, 9))
     assert next_steps(missed, "r", True) == [
         "look: amhe view r",
-        "mend: the same command with --repair, which tries spring@hip",
+        "mend: amhe identify with --repair tries spring@hip",
     ]
     assert [line.split(":")[0] for line in next_steps(identification(), "r", True)] == [
         *("look", "use", "randomise")
