@@ -52,7 +52,7 @@ class CpuEngine:
         self, model: mujoco.MjModel, edits: ModelEdits, input_spec: int, threads: int, sensors: bool
     ) -> None:
         self._servos, self._gear = edits.servos, edits.gear_friction
-        free = model if self._servos is None else self._servos.unlimited()
+        free = model if self._servos is None else self._servos.unlimited(model)
         self._model, self._edits, self._input_spec = without_contacts(free), edits, input_spec
         self._threads, self._sensors = threads, sensors
         self._batch: mujoco.batch.Batch | None = None

@@ -44,13 +44,10 @@ def friction_models(system: System) -> dict[str, System]:
         raise ConfigError(
             "`friction`: give a system folder; one of a model alone has no file to add lines to"
         )
-    loaded = {}
-    for name in MODELS:
-        entries = {"parameters": friction_entries(system, name)}
-        loaded[name] = replace(
-            System.load(system.folder, merged(system.given, entries), warn=False), name=name
-        )
-    return loaded
+    given = {name: merged(system.given, {"parameters": friction_entries(system, name)}) for name in MODELS}
+    return {
+        name: replace(System.load(system.folder, more, warn=False), name=name) for name, more in given.items()
+    }
 
 
 def friction_entries(system: System, name: str) -> dict[str, Any]:

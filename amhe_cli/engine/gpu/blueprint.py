@@ -46,7 +46,7 @@ class Blueprint:
         """That of an engine's model and edits."""
         nominal = edits.apply(model, edits.space.nominal)
         if edits.servos is not None:
-            edits.servos.unlimit(nominal)
+            nominal = edits.servos.unlimited(nominal)
         # mujoco-warp has no reset of bad states; kernels.watch marks them and sends them home
         nominal.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         if not sensors:

@@ -76,10 +76,9 @@ class GearFriction:
         return cls(model.jnt_dofadr[list(acting)].astype(np.int64), np.array(list(acting.values())))
 
     def law(self, numbers: FloatArray, dry: FloatArray) -> Callable[..., FloatArray]:
-        """What friction of n simulations can hold at most [N m] by motor, external, speed; shape (n, g).
+        """What friction of n simulations can hold [N m] by tau_m, tau_e and dq, each of shape (n, g).
 
-        These are tau_m, tau_e and dq, each (n, g). An engine asks at each update, so terms that are zero for
-        all are left out, and what can be known beforehand is.
+        It is asked for at each update: terms that are zero for all are left out.
 
         Args:
             numbers: The numbers of the joints, shape (n or 1, g, 8).

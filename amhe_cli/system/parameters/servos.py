@@ -78,14 +78,10 @@ class Servos:
                 )
         return cls(model, np.array(rows), np.array([every[row] for row in rows])) if rows else None
 
-    def unlimit(self, model: mujoco.MjModel) -> None:
-        """Leave the limit of their torques to `law`, in a model of this layout."""
+    def unlimited(self, model: mujoco.MjModel) -> mujoco.MjModel:
+        """A copy of a model of this layout that leaves the limit of their torques to `law`."""
+        model = copy.copy(model)
         model.actuator_forcelimited[self.rows] = 0
-
-    def unlimited(self) -> mujoco.MjModel:
-        """A copy of the model in which they have the torque of `law`: it has the limit."""
-        model = copy.copy(self.model)
-        self.unlimit(model)
         return model
 
     @cached_property
@@ -157,7 +153,7 @@ def with_servos(
     servos = Servos.of(model)
     if servos is None:
         return model, lambda instant: None
-    free, rows = servos.unlimited(), servos.rows
+    free, rows = servos.unlimited(model), servos.rows
     biases = servos.law(lambda name: getattr(model, name)[None])(qpos, qvel, ctrl, act)
 
     def drive(instant: int) -> None:
