@@ -252,6 +252,7 @@ def warnings() -> Iterator[tuple[str, str]]:
                     )
 
 
+@pytest.mark.medium
 def test_every_warning_has_an_entry() -> None:
     found = dict(warnings())
     assert len(found) > 40

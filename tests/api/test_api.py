@@ -48,6 +48,7 @@ def result(system: amhe.System, log: amhe.Log) -> amhe.Result:
     return amhe.identify(system, log, threads=1)
 
 
+@pytest.mark.medium
 def test_ctrl_c_ends_a_loop_and_keeps_the_best_so_far(
     system: amhe.System, log: amhe.Log, tmp_path: Path
 ) -> None:
@@ -281,6 +282,7 @@ def test_wrong_arguments_are_named(system: amhe.System, log: amhe.Log) -> None:
         amhe.read_log("swing.mcap", system, topics={"joint": "/x"})
 
 
+@pytest.mark.medium
 def test_an_estimator_follows_a_log(system: amhe.System, log: amhe.Log) -> None:
     estimator = amhe.Estimator(system, seed=1)
     step, estimates = 25, []
@@ -300,6 +302,7 @@ def test_an_estimator_follows_a_log(system: amhe.System, log: amhe.Log) -> None:
     assert found[-1].values["load_mass"] == pytest.approx(truth["load_mass"], rel=0.1)
 
 
+@pytest.mark.medium
 def test_an_estimator_takes_encoders_without_velocities(system: amhe.System, log: amhe.Log) -> None:
     estimator, step, found = amhe.Estimator(system, seed=1), 25, []
     given = [log.series[key] for key in ("joints.position", "command.position")]
@@ -358,6 +361,7 @@ def test_quaternions_and_widths_of_samples_are_checked() -> None:
         estimator.update({key: (0.0, [1.0, 0.0, 0.0])})
 
 
+@pytest.mark.medium
 def test_a_probe_says_what_it_will_reveal(system: amhe.System, tmp_path: Path) -> None:
     few = amhe.System.load("pendulum", CHEAP | {"probe": {"candidates": 2, "pairs": 0}})
     plan = amhe.probe(few, seconds=2.0, log=tmp_path / "probe.mcap")

@@ -190,6 +190,7 @@ def toss(pitch: float, origin: list[float]) -> dict[str, Any]:
     return {"camera": {"time": table[:, 0], "position": table[:, 1:4], "orientation": table[:, 4:]}}
 
 
+@pytest.mark.medium
 def test_the_frame_of_a_camera_is_found_as_far_as_gravity_shows_it() -> None:
     parameters = {
         axis: {

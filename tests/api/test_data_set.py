@@ -143,6 +143,7 @@ def test_fix_and_only_go_with_the_file(folder: Path, capsys: pytest.CaptureFixtu
         amhe.read_log([folder / "runs.yaml"], fixed)
 
 
+@pytest.mark.medium
 def test_other_commands_take_it_or_say_why_not(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, arm = str(folder / "runs.yaml"), str(folder / "arm")
     assert run(["inspect", path, "--system", arm, "--json"]) == 0

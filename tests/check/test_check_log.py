@@ -105,6 +105,7 @@ def test_what_is_wrong_with_a_recording_stands_in_the_list(
     assert all(one["cure"] for one in found.values())
 
 
+@pytest.mark.medium
 def test_mistakes_are_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     for arguments, text in (
         (["--require", "load_mass<5%"], "give a LOG"),

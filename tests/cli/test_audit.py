@@ -53,6 +53,7 @@ def audited(tmp_path_factory) -> tuple[Path, dict]:
     return folder / "out", json.loads((folder / "out" / "audit.json").read_text())
 
 
+@pytest.mark.medium
 def test_spoilt_numbers_are_contradicted_and_right_ones_are_not(audited) -> None:
     _, record = audited
     wrong = {line["parameter"]: line for line in record["numbers"] if line["verdict"] == "contradicted"}

@@ -17,6 +17,7 @@ ROOT = Path(__file__).parents[2]
 SCENE = str(MODELS / "pendulum" / "scene.xml")
 
 
+@pytest.mark.medium
 def test_it_writes_a_system_that_the_log_suits(pendulum_log: Path, tmp_path: Path, capsys) -> None:
     system = tmp_path / "mine"
     assert run(["init", SCENE, str(pendulum_log), "-o", str(system)]) == 0
@@ -62,6 +63,7 @@ ARM = """<robot name="arm"><link name="base"/><link name="rod"><inertial><mass v
 </robot>"""
 
 
+@pytest.mark.medium
 def test_a_missing_package_names_the_options_and_either_helps(
     pendulum_log: Path, tmp_path: Path, capsys
 ) -> None:
@@ -117,6 +119,7 @@ class Menagerie(ModuleType):
         return Path(SCENE)
 
 
+@pytest.mark.medium
 def test_a_model_of_the_menagerie(pendulum_log: Path, tmp_path: Path, capsys, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "mujoco_menagerie", Menagerie("mujoco_menagerie"))
     for number, model in enumerate(("menagerie:pendulum", "menagerie:pendulum/scene")):

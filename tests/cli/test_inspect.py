@@ -24,6 +24,7 @@ def test_it_says_what_is_missing_with_the_nearest_name(pendulum_log: Path, capsy
     assert "did you mean '/joint_states'" in capsys.readouterr().out
 
 
+@pytest.mark.medium
 def test_json_is_one_object(pendulum_log: Path, capsys) -> None:
     assert run(["inspect", str(pendulum_log), str(pendulum_log), "--json"]) == 0
     record = json.loads(capsys.readouterr().out)

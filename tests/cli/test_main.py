@@ -277,6 +277,7 @@ def test_a_narrow_terminal_cuts_the_state_and_keeps_bar_and_time(monkeypatch, ca
     assert max(map(len, lines)) <= 80
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&- <&-"])
 def test_closed_streams_end_no_command(closed: str, pendulum_log: Path, tmp_path: Path) -> None:
     command = f"{sys.executable} -m amhe_cli convert {pendulum_log} -o {tmp_path}/out.csv {closed}"

@@ -70,6 +70,7 @@ def test_a_page_of_the_installed_command_opens_and_plays(installed: Path, tmp_pa
         assert one.requests == [page.as_uri()]
 
 
+@pytest.mark.medium
 def test_the_installed_command_works_anywhere(installed: Path, tmp_path: Path) -> None:
     log = installed / "amhe_cli" / "_bundled" / "examples" / "logs" / "pendulum.mcap"
     done = subprocess.run(
@@ -133,6 +134,7 @@ def test_settings_of_a_robot_need_no_simulator() -> None:
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+@pytest.mark.medium
 def test_a_simulated_run_loads_neither_link_nor_poses(tmp_path: Path) -> None:
     modules = loaded("run", "--task", "t1", "--duration", "0.04", "--out", str(tmp_path / "out"))
     assert "amhe_cli.robots.go1.plant" in modules

@@ -58,6 +58,7 @@ def other_pendulum(path: Path) -> Path:
     return path
 
 
+@pytest.mark.medium
 def test_a_plan_is_written_alone_and_expects_more_than_plain_motion_would_tell(capsys) -> None:
     assert run([*PENDULUM, "--dry-run", "-o", "plan"]) == 0
     assert names("plan") == ["plan.json"]
@@ -139,6 +140,7 @@ def test_a_recipe_writes_commands_for_a_robots_own_program(capsys) -> None:
     assert "a recipe drives joints as they are: give the --system of its robot" in capsys.readouterr().err
 
 
+@pytest.mark.medium
 def test_plain_motion_that_cannot_be_done_is_no_number(monkeypatch, capsys) -> None:
     information = ActuatorProbe._information
 
@@ -188,6 +190,7 @@ def test_a_fall_is_a_failure_that_keeps_its_log(monkeypatch, capsys) -> None:
     assert (truth["box_mass"], truth["floor_friction"]) == pytest.approx((5.0, 0.5)), "that of --box"
 
 
+@pytest.mark.medium
 def test_falls_in_every_rehearsal_are_reported_before_anything_moves(monkeypatch, capsys) -> None:
     Path("quick.yaml").write_text(QUICK_SETTINGS)
     monkeypatch.setattr("amhe_cli.robots.go1.judge.FALLEN_HEIGHT", 10.0)

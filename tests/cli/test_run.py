@@ -149,6 +149,7 @@ def test_a_plant_that_diverges_is_a_failure_that_keeps_its_log(monkeypatch, caps
     assert not survey(Path("out/log.mcap")).problems
 
 
+@pytest.mark.medium
 def test_a_fault_of_the_page_costs_no_log_and_is_one_line(monkeypatch, capsys) -> None:
     def broken(*arguments: object) -> str:
         raise RuntimeError("no page")
@@ -170,6 +171,7 @@ def test_the_table_is_on_stdout_and_progress_on_stderr(capsys) -> None:
     assert not Path("MUJOCO_LOG.TXT").exists()
 
 
+@pytest.mark.medium
 @pytest.mark.usefixtures("hangs_up")
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGHUP, 143)])
 def test_an_interrupted_run_keeps_what_it_has(number: int, code: int) -> None:

@@ -60,6 +60,7 @@ def data_of(page: Path) -> dict:
     return json.loads(text.partition('id="data">')[2].partition("</script>")[0])
 
 
+@pytest.mark.medium
 def test_a_result_shows_both_ghosts_and_its_held_out_clips_first(result: Path, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     assert run(["view", str(result), "--save", str(page)]) == 0
@@ -105,6 +106,7 @@ def test_a_replay_shows_its_estimates_over_time_and_that_of_each_clip_as_a_ghost
     assert data_of(page)["candidates"] == ["before", "after"]
 
 
+@pytest.mark.medium
 def test_a_run_shows_its_path_its_belief_and_how_it_planned(tmp_path: Path) -> None:
     out, page = tmp_path / "t4", tmp_path / "page.html"
     arguments = ["--task", "t4", "--mode", "baseline", "--duration", "0.6", "--threads", "1"]
@@ -174,6 +176,7 @@ def test_a_result_of_the_library_shows_what_it_was_made_from(pendulum_log: Path,
     assert log.duration == pytest.approx(2.0, abs=0.01)  # --from of now, the end of then
 
 
+@pytest.mark.medium
 def test_it_serves_until_it_is_stopped(pendulum_log: Path) -> None:
     command = [sys.executable, "-m", "amhe_cli", "view", str(pendulum_log)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=dict(os.environ)) as process:
@@ -260,6 +263,7 @@ def own_result(pendulum_log: Path, tmp_path_factory: pytest.TempPathFactory) -> 
     return folder
 
 
+@pytest.mark.medium
 def test_a_replay_of_an_own_system_needs_no_option_again(own_result: Path, tmp_path: Path, capsys) -> None:
     assert run(["view", str(own_result / "out"), "--save", str(tmp_path / "page.html")]) == 0
     (note,) = [line for line in capsys.readouterr().err.splitlines() if "note: shows" in line]

@@ -145,6 +145,7 @@ def test_record_writes_a_log_that_is_read_for_the_system() -> None:
     assert log.duration > 0.8 and counts["/joint_states"] >= 30
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -95,6 +95,7 @@ def joints(**changes: Any) -> dict[str, Any]:
     return arrays(joints={"time": TIME, "position": np.sin(TIME)} | changes)
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize(
     ("given", "message"),
     [

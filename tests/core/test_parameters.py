@@ -284,6 +284,7 @@ def write(path: Path, position: np.ndarray, velocity: np.ndarray) -> Path:
     return path
 
 
+@pytest.mark.medium
 def test_a_log_is_read_without_them_and_says_so(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
 ) -> None:

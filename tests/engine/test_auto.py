@@ -185,6 +185,7 @@ begun.wait()
     assert (done.returncode, done.stdout, done.stderr) == (0, "computed\n", "")
 
 
+@pytest.mark.medium
 def test_a_call_that_the_cards_refuse_goes_to_the_processor_and_so_do_all_others(
     cards, monkeypatch, caplog
 ) -> None:

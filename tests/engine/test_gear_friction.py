@@ -191,6 +191,7 @@ def test_the_numbers_are_part_of_the_model() -> None:
     assert unit == {"load_friction": "-", "stribeck_velocity": "m/s"}
 
 
+@pytest.mark.medium
 def test_mistakes_are_named() -> None:
     ball = HOIST.replace('type="slide" axis="0 0 1"', 'type="ball"').replace(
         '<motor name="motor" joint="lift"/>', ""

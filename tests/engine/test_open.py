@@ -37,6 +37,7 @@ def test_an_unknown_engine_is_refused_with_those_that_there_are() -> None:
         open_engine(PENDULUM, kind="abacus")
 
 
+@pytest.mark.medium
 def test_looking_for_cards_prints_nothing() -> None:
     """Warp warns on stderr, once in a process, that it finds no driver."""
     pytest.importorskip("mujoco_warp")

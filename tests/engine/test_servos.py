@@ -139,6 +139,7 @@ def test_an_exported_model_has_the_numbers() -> None:
     )).parts  # fmt: skip
 
 
+@pytest.mark.medium
 def test_mistakes_are_named() -> None:
     with pytest.raises(ConfigError, match="'servo' is no position servo of a joint"):
         swing(xml=SWING.replace("<position", "<motor").replace(f'kp="{KP}"', ""))

@@ -261,6 +261,7 @@ def sprung() -> tuple[amhe.System, amhe.Log]:
     return system, amhe.Log.from_arrays(arrays, system)
 
 
+@pytest.mark.medium
 def test_a_spring_is_named_with_its_stiffness_and_rest(sprung: tuple[amhe.System, amhe.Log]) -> None:
     found = _explained(*sprung)
 
@@ -286,6 +287,7 @@ def test_identify_says_what_the_model_lacks(sprung: tuple[amhe.System, amhe.Log]
     assert "What is missing" in page
 
 
+@pytest.mark.medium
 def test_a_servo_that_acts_inside_a_limit_is_named_with_its_speed() -> None:
     """A drive by voltage: 60 N m/rad up to 2.45 N m, less 0.38 N m s/rad; its model is stiff to less."""
     lever = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body>

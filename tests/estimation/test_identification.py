@@ -23,6 +23,7 @@ def found(result, name):
     return next(p for p in result.parameters if p.name == name)
 
 
+@pytest.mark.medium
 def test_recovers_the_truth_within_its_own_interval(pendulum, swing, caplog):
     result = identify(pendulum, [swing(8.0)], None, IdentifyOptions())
     for parameter, truth in zip(result.parameters, TRUTH, strict=True):
@@ -177,6 +178,7 @@ def test_a_forged_checkpoint_whose_checksum_fits_is_refused(pendulum, swing, tmp
             identify(pendulum, [swing(3.0)], None, options)
 
 
+@pytest.mark.medium
 def test_ctrl_c_keeps_the_best_so_far(pendulum, swing, caplog):
     def press(iteration, total):
         if iteration.number == 4:
@@ -205,6 +207,7 @@ def test_max_time_stops_the_search_and_leaves_out_slow_checks(pendulum, swing, c
     assert result.held_out is not None and not result.parameters[0].profile
 
 
+@pytest.mark.medium
 def test_progress_goes_through_the_conclusion(pendulum, swing):
     seen = []
     result = identify(
@@ -309,6 +312,7 @@ def test_a_command_delay_is_found(swing, delayed):
     assert found(result, "load_mass").estimate == pytest.approx(TRUTH[0], rel=0.02)
 
 
+@pytest.mark.medium
 def test_ctrl_c_while_concluding_still_gives_a_result(pendulum, swing, monkeypatch, caplog):
     from amhe_cli.estimation import conclude
 

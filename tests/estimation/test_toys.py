@@ -166,27 +166,32 @@ def check_late(result: amhe.Result, throughout: amhe.Result) -> None:
     assert mass.verdict == "identified" and not said(result, "cart_mass")
 
 
+@pytest.mark.medium
 def test_a_cart_that_is_pushed_all_the_time_is_weighed(throughout: amhe.Result) -> None:
     mass = throughout.parameters["cart_mass"]
     assert mass.verdict == "identified" and mass.sd < 0.003
     assert mass.estimate == pytest.approx(MASS, abs=4.0 * mass.sd)
 
 
+@pytest.mark.medium
 def test_a_half_that_says_nothing_contradicts_nothing(cart, late, throughout) -> None:
     check_late(amhe.identify(cart, amhe.Log.from_arrays(late, cart)), throughout)
 
 
+@pytest.mark.medium
 def test_nor_does_it_where_the_prior_is_four_sd_off(late, throughout) -> None:
     prior = {**MASS_OF_CART, "prior_sd": 0.25, "nominal": MASS * np.exp(-1.0)}
     system = system_of(CART, {"cart_mass": prior})
     check_late(amhe.identify(system, amhe.Log.from_arrays(late, system)), throughout)
 
 
+@pytest.mark.medium
 def test_a_silent_part_may_be_a_log_of_its_own(cart, late, throughout) -> None:
     logs = [amhe.Log.from_arrays(part(late, *span), cart) for span in ((0.0, 12.0), (12.0, 24.0))]
     check_late(amhe.identify(cart, logs), throughout)
 
 
+@pytest.mark.medium
 def test_joints_that_move_one_after_the_other_contradict_nothing() -> None:
     masses = {name: {"nominal": 1.5, "targets": [{"body": name, "set": "mass"}]} for name in ("one", "two")}
     system, push = system_of(TWO_CARTS, masses), multisine(2, 1.0)
@@ -221,6 +226,7 @@ def test_a_load_that_changes_in_mid_log_is_found(cart) -> None:
     assert mass.sd > 0.2 and mass.verdict != "identified" and said(result, "cart_mass")
 
 
+@pytest.mark.medium
 def test_halves_are_halves_of_what_is_fitted() -> None:
     """Seven clips are fitted of this log; of its own halves the second would have too few for a check."""
     system, push = system_of(CART, {"cart_mass": MASS_OF_CART}, held_out=0.25), multisine(1, 1.0)
@@ -263,6 +269,7 @@ def sd_of_ratio(result: amhe.Result) -> float:
     return float(np.sqrt(np.array([1.0, -1.0]) @ covariance @ [1.0, -1.0]))
 
 
+@pytest.mark.medium
 def test_a_motor_of_unknown_gain_and_a_measured_one_agree(motors) -> None:
     logs = [by_loose_motor(motors), by_measured_motor(motors)]
     result = amhe.identify(motors, logs)
@@ -275,6 +282,7 @@ def test_a_motor_of_unknown_gain_and_a_measured_one_agree(motors) -> None:
     assert sd_of_ratio(result) < 0.002
 
 
+@pytest.mark.medium
 def test_a_ridge_is_as_narrow_as_its_product_is_known(motors) -> None:
     result = amhe.identify(motors, by_loose_motor(motors))
     assert sd_of_ratio(result) < 0.002
@@ -321,6 +329,7 @@ def swung(pendulum, swings) -> amhe.Result:
     return amhe.identify(pendulum, amhe.Log.from_arrays(swings[0], pendulum))
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("velocities", [True, False], ids=["alike", "one without velocities"])
 def test_the_order_of_logs_never_matters(pendulum, swings, velocities: bool) -> None:
     second = swings[1] if velocities else without_velocity(swings[1])
@@ -338,6 +347,7 @@ def test_the_order_of_logs_never_matters(pendulum, swings, velocities: bool) -> 
         assert one.parameters[name].estimate == pytest.approx(value, abs=4.0 * one.parameters[name].sd)
 
 
+@pytest.mark.medium
 def test_a_log_without_velocities_adds_what_its_positions_say(pendulum, swings, swung) -> None:
     logs = [amhe.Log.from_arrays(a, pendulum) for a in (swings[0], without_velocity(swings[1]))]
     both = amhe.identify(pendulum, logs)
@@ -345,11 +355,13 @@ def test_a_log_without_velocities_adds_what_its_positions_say(pendulum, swings, 
         assert both.parameters[name].sd < 0.95 * alone.sd
 
 
+@pytest.mark.medium
 def test_the_order_of_parameters_never_matters(swings, swung) -> None:
     system = system_of(PENDULUM, dict(reversed(PARAMETERS.items())))
     alike(swung, amhe.identify(system, amhe.Log.from_arrays(swings[0], system)))
 
 
+@pytest.mark.medium
 def test_a_parameter_may_be_renamed(swings, swung) -> None:
     names = {"load": "zulu", "damping": "alpha"}
     system = system_of(PENDULUM, {names[name]: entry for name, entry in PARAMETERS.items()})
@@ -359,11 +371,13 @@ def test_a_parameter_may_be_renamed(swings, swung) -> None:
         assert result.parameters[names[name]].sd == first.sd
 
 
+@pytest.mark.medium
 def test_one_log_may_be_given_as_two(pendulum, swings, swung) -> None:
     logs = [amhe.Log.from_arrays(part(swings[0], *span), pendulum) for span in ((0.0, 3.0), (3.0, 6.0))]
     alike(swung, amhe.identify(pendulum, logs))
 
 
+@pytest.mark.medium
 def test_the_order_of_clips_never_matters(pendulum, swings) -> None:
     """Pieces of a log as long as a clip, once in the order of their times and once the other way round."""
     pieces = [part(swings[0], t, t + 1.0) for t in range(6)]

@@ -286,6 +286,7 @@ def made_of(tmp_path: Path, *options: str, gains: str = "", extra: tuple[str, ..
     return amhe.System.load(tmp_path / "arm")
 
 
+@pytest.mark.medium
 def test_an_export_has_the_back_emf_and_says_what_is_lost(tmp_path: Path) -> None:
     system = made_of(tmp_path, "--drive", "elbow=feetech:sts3215", "--gain-p", "16")
     servo = drive("feetech:sts3215").servo(gain_p=16)
@@ -298,6 +299,7 @@ def test_an_export_has_the_back_emf_and_says_what_is_lost(tmp_path: Path) -> Non
     assert "# firmware of servos: punch" in text
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("gains", ["", "P_Coefficient"])
 def test_a_drive_takes_the_place_of_the_guesses(gains: str, tmp_path: Path, capsys) -> None:
     given = () if gains else ("--gain-p", "16")
@@ -332,6 +334,7 @@ def test_a_log_has_the_supply_of_a_drive_and_says_whether_it_is_on(tmp_path: Pat
     assert "elbow_supply_sag" not in system.space.names  # the voltage has sagged already
 
 
+@pytest.mark.medium
 def test_mistakes_are_one_line(tmp_path: Path, capsys) -> None:
     made_of(tmp_path)
     paths = [str(tmp_path / name) for name in ("arm.xml", "arm.csv")]

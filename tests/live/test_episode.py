@@ -67,6 +67,7 @@ def second() -> list[Cycle]:
     return cycles_of(duration=1.0, seed=3)
 
 
+@pytest.mark.medium
 def test_it_ends_in_time_and_has_not_fallen(second: list[Cycle]) -> None:
     assert len(second) == 50
     assert [cycle.over for cycle in second] == [False] * 49 + [True]
@@ -88,6 +89,7 @@ def test_another_seed_starts_elsewhere_and_measures_and_samples_otherwise() -> N
     assert (a.plan.targets != b.plan.targets).any()
 
 
+@pytest.mark.medium
 def test_starts_differ_by_three_centimetres_and_three_degrees_at_most_and_nearly_so(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -312,6 +314,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list]:
     return path, record(path)
 
 
+@pytest.mark.medium
 def test_identify_finds_every_signal_all_the_time(log) -> None:
     found = inspect_log(log[0], System.load("go1_push"))
     assert found.system == "go1_push"
@@ -420,6 +423,7 @@ def news(of: list[Cycle]) -> list[tuple[float, Estimate]]:
     return [(cycle.time, n) for cycle in of for n in cycle.news if isinstance(n, Estimate)]
 
 
+@pytest.mark.medium
 def test_it_starts_from_the_baseline_and_learns(adaptive: tuple[Path, list[Cycle]]) -> None:
     _, run = adaptive
     assert run[0].belief == pytest.approx({"box_mass": 2.0, "box_inertia_scale": 1.0, "floor_friction": 0.3})

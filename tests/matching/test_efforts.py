@@ -116,6 +116,7 @@ def test_residuals_at_the_truth_are_the_noise(system):
         assert not observed.mask[0][slow].any()
 
 
+@pytest.mark.medium
 def test_the_truth_is_found_within_its_intervals(system):
     outside = []
     for seed in range(4):
@@ -146,6 +147,7 @@ def test_efforts_of_slow_joints_are_not_compared_however_far_their_motion_reache
     assert slow.any() and not found.known[slow].any() and found.known.mean() > 0.8
 
 
+@pytest.mark.medium
 def test_models_are_compared_by_their_efforts(system):
     theta = truth(system)
     log, smooth = recorded(system, theta), system_of(parameters={**PARAMETERS, "friction": NO_FRICTION})

@@ -68,6 +68,7 @@ def test_goals_say_what_was_missed(groups: Groups) -> None:
     assert ("t4 adaptive", "J / true's − 1") not in missed
 
 
+@pytest.mark.medium
 def test_the_page_begins_with_what_was_missed(groups: Groups) -> None:
     every = tables.tables(groups, ablations(groups, DEFAULTS), goals(groups))
     code = {name: "1" for name in ("amhe", "sources", "mujoco", "numpy")}
@@ -81,6 +82,7 @@ def test_the_page_begins_with_what_was_missed(groups: Groups) -> None:
     assert re.search(r"t4 adaptive: S_R − true&#39;s is .* %; the goal is ≥ 0", page)
 
 
+@pytest.mark.medium
 def test_a_page_without_goals_says_what_came_out_and_no_run_that_was_cut_short_stands_beside_the_papers(
     groups: Groups,
 ) -> None:

@@ -197,6 +197,7 @@ def test_a_scheduler_that_goes_away_stops_the_work_with_one_line(cluster: Cluste
             cluster.close()
 
 
+@pytest.mark.medium
 def test_a_scheduler_without_workers_is_reported_and_can_be_left(cluster: Cluster, caplog) -> None:
     begun = time.monotonic()
 

@@ -267,6 +267,7 @@ def test_a_served_page_predicts_again_when_a_slider_is_dragged(
     assert "yours: cost" in chromium.run("document.getElementById('tried').textContent")
 
 
+@pytest.mark.medium
 def test_what_is_left_is_the_misfit_in_units_of_the_noise(opened: Browser) -> None:
     pick = "document.getElementById('channel')"
     opened.run(f"{pick}.value = LEFT_OVER; {pick}.dispatchEvent(new Event('change'))")

@@ -181,6 +181,7 @@ def test_cost_profiles_are_the_same_with_fewer_rollouts(
     assert shared == 1 + 3 * 3 and sum(counted) - shared == 5 * 3
 
 
+@pytest.mark.medium
 def test_two_arms_are_identified_from_a_few_rollouts(apart: Problem) -> None:
     result = amhe.identify(apart.system, [apart.pool.parts[0].log], seed=0)
     for name, true in (TRUTH | {"delay": 0.0125}).items():

@@ -149,6 +149,7 @@ def test_clips_alike_are_taken_evenly_and_one_that_alone_knows_something_always(
     assert 33 in by_leverage(alike, 4)
 
 
+@pytest.mark.medium
 def test_of_a_long_log_the_clips_that_move_much_are_fitted(swing) -> None:
     calm, lively = swing(40.0, size=0.02), swing(4.0, seed=1)
     one = problem(2, calm, lively)
@@ -325,6 +326,7 @@ def test_rounding_behind_contacts_is_no_effect_of_a_parameter() -> None:
     }  # fmt: skip
 
 
+@pytest.mark.medium
 def test_of_many_logs_each_value_of_its_own_is_seen(pendulum: System, swing) -> None:
     """Clips that show what moves what are few, and some of each log with a value of its own."""
     logs = [swing(1.5, seed=i).with_(own={"friction_loss": f"servo {i}"}) for i in range(20)]

@@ -82,6 +82,7 @@ def test_a_jump_is_seen_and_followed(cart, drive) -> None:
     assert np.mean([e.theta[0] for e in late]) == pytest.approx(3.5, rel=0.04)
 
 
+@pytest.mark.medium
 def test_a_jump_may_have_to_be_found_by_windows_in_a_row(cart, drive) -> None:
     log = drive(6.0, mass=lambda t: 2.0 if t < 4.0 else 3.5)
     marks = [[e.mark for e in estimates(with_mhe(cart, jump_windows=count), log)] for count in (1, 2)]

@@ -153,6 +153,7 @@ def left_open(*shares: float) -> float:
     return float(np.hypot(precision**-0.5, 0.5**-2 * np.log(2.0) / precision)) / 0.5
 
 
+@pytest.mark.medium
 def test_a_number_that_no_log_determines_costs_its_data_sheet() -> None:
     """Motion shows gain / mass: 10 % of the one are 10 % of the other."""
     system = cart(assumed=EXACT | {"gain": 0.1}, mass=MASS)
@@ -178,6 +179,7 @@ def test_numbers_that_only_together_leave_the_estimate_open_cost_what_both_data_
     assert np.sqrt(known.covariance[0, 0]) < 0.2 * left_open(0.1)
 
 
+@pytest.mark.medium
 def test_a_number_that_the_log_determines_costs_nothing_where_it_is_right_and_all_where_it_is_wrong() -> None:
     system = cart(SPRING, EXACT | {"stiffness": 0.2}, mass=MASS)
     right = terms(system, pushed(system, stiffness=20.0), np.array([2.0]))
@@ -236,6 +238,7 @@ def test_logs_with_known_values_move_what_is_searched() -> None:
     assert np.abs(about(found, "limit")[1]).max() > 0.0
 
 
+@pytest.mark.medium
 def test_a_wrong_limit_is_named_and_the_interval_holds() -> None:
     system = pendulum(1.1)
     wrong = identify(system, [swing(system, weak_limit)], None, IdentifyOptions())
@@ -243,6 +246,7 @@ def test_a_wrong_limit_is_named_and_the_interval_holds() -> None:
     assert any("the force limit of servo, 1.1" in r.text for p in wrong.parameters for r in p.reasons)
 
 
+@pytest.mark.medium
 def test_a_limit_as_a_parameter_is_found_and_not_assumed() -> None:
     result = identify(pendulum(1.1, free=True), [swing(pendulum(1.1), weak_limit)], None, IdentifyOptions())
     limit = of(result, "limit")
@@ -254,6 +258,7 @@ def test_a_limit_as_a_parameter_is_found_and_not_assumed() -> None:
 # -- time steps and delays -----------------------------------------------------------------------------------
 
 
+@pytest.mark.medium
 def test_a_world_of_finer_steps_is_held_and_the_step_is_recommended(caplog: pytest.LogCaptureFixture) -> None:
     system = pendulum(50.0, step=0.0025)
     wrong = identify(system, [swing(system, finer)], None, IdentifyOptions())
@@ -264,6 +269,7 @@ def test_a_world_of_finer_steps_is_held_and_the_step_is_recommended(caplog: pyte
     assert "time step" not in caplog.text
 
 
+@pytest.mark.medium
 def test_the_step_costs_little_where_the_log_shows_that_the_plant_has_it_too() -> None:
     system = pendulum(50.0, step=0.005)
     of_model, of_world = (terms(system, swing(system, plant)) for plant in (unchanged, finer))
@@ -273,6 +279,7 @@ def test_the_step_costs_little_where_the_log_shows_that_the_plant_has_it_too() -
     assert not terms(pendulum(50.0, step=0.005, time_step=0.0), swing(system, finer)).covariance.any()
 
 
+@pytest.mark.medium
 def test_commands_that_act_late_are_found_and_the_interval_holds(caplog: pytest.LogCaptureFixture) -> None:
     system = pendulum(50.0, command_delay=0.005)
     prompt = swing(system, unchanged)
@@ -288,6 +295,7 @@ def test_commands_that_act_late_are_found_and_the_interval_holds(caplog: pytest.
     assert wanted and abs(float(wanted[1]) - 6.0) < 0.5 and int(wanted[2]) > 3
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize(("late", "blamed"), [(0, False), (2, True)])  # 4 ms are two steps
 def test_what_a_finer_step_explains_is_no_delay(
     late: int, blamed: bool, caplog: pytest.LogCaptureFixture
@@ -355,6 +363,7 @@ def test_a_sharp_log_that_rules_other_contacts_out_allows_less_of_them() -> None
     assert moves[0] < 0.3 * moves[1]
 
 
+@pytest.mark.medium
 def test_variants_are_rolled_out_by_the_workers_that_were_given() -> None:
     models: set[bytes] = set()
 
@@ -438,6 +447,7 @@ def test_a_bias_that_is_a_parameter_is_not_assumed() -> None:
     assert not terms(free, log, free.space.nominal).sources
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize(("light", "share"), [(1.0, 0.1), (0.85, 0.1), (0.85, 0.0)])
 def test_an_unknown_gain_rests_on_the_masses_of_what_moves(light: float, share: float) -> None:
     """Motion shows the ratio of gain and mass; a model that is too light has a gain that is too low."""

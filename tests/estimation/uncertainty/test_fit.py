@@ -162,6 +162,7 @@ def at_truth(pendulum: System, log: Log) -> tuple[Problem, SearchState]:
     return problem, search.restart(problem, pendulum.space.z_of(TRUTH))
 
 
+@pytest.mark.medium
 def test_a_clip_that_is_left_out_and_contradicts_the_others_speaks_against_every_value(
     pendulum, swing, caplog
 ) -> None:

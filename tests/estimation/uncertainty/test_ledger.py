@@ -249,6 +249,7 @@ def test_noisy_values_move_towards_their_mean() -> None:
     assert np.all(np.diag(group.covariance)[:4] < 0.2 / 0.8 + 1e-9)  # no wider than the data alone
 
 
+@pytest.mark.medium
 def test_spreads_cover_the_truth() -> None:
     """Simulated values with noise: the 90 % intervals of mean and spread hold the truth about as often."""
     rng = np.random.default_rng(1)

@@ -75,6 +75,7 @@ def test_both_sides_of_an_axis_are_named(caplog: pytest.LogCaptureFixture) -> No
     assert ", and place -0.12 (cost " in warning
 
 
+@pytest.mark.medium
 def test_one_side_alone_is_identified(caplog: pytest.LogCaptureFixture) -> None:
     place, damping = identified(0.0).parameters
     assert (place.verdict, damping.verdict) == ("identified", "identified")
@@ -90,6 +91,7 @@ def test_the_search_goes_on_from_the_better_minimum(caplog: pytest.LogCaptureFix
     assert warning.startswith("two minima explain the logs: place -0.12 (cost ")
 
 
+@pytest.mark.medium
 def test_looking_for_it_takes_a_tenth_of_the_rollouts(monkeypatch: pytest.MonkeyPatch) -> None:
     counted, looking = {True: 0, False: 0}, [False]
     residuals, second = MatchingCost.residuals, conclude.second_minimum

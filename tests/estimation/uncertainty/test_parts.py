@@ -126,6 +126,7 @@ def test_chance_is_no_contradiction() -> None:
     assert np.mean(found) < 0.03  # of the 0.3 % of three sd, and the uncertain scatter of four clips
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("spread", [0.2, 1.0])
 def test_the_variance_between_logs_is_recovered_on_average(spread: float) -> None:
     rng, known, k = np.random.default_rng(4), 100.0 * np.eye(3), 5
@@ -227,6 +228,7 @@ def test_a_cart_that_is_pushed_in_one_half_only_is_identified() -> None:
     assert "parts" not in mass.budget
 
 
+@pytest.mark.medium
 def test_logs_of_an_unknown_and_of_a_known_motor_agree() -> None:
     """They disagreed by 47 % once, and the order of logs says nothing."""
     system = cart(mass=MASS, gain=GAIN)

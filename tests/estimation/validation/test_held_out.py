@@ -245,6 +245,7 @@ def test_models_alike_are_told_apart_as_often_as_promised() -> None:
     assert decided / 200 < 0.2  # 5 % were wanted; a bootstrap over 15 uneven clips is somewhat narrow
 
 
+@pytest.mark.medium
 def test_horizons_are_one_test() -> None:
     """Of models alike, over four horizons that each err by themselves."""
     kept = 0

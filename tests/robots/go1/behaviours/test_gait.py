@@ -140,6 +140,7 @@ def test_the_planner_sees_the_same_walk(timestep: float) -> None:
     assert motion.tilt.max() < np.radians(10.0)
 
 
+@pytest.mark.medium
 def test_a_push_as_strong_as_friction_moves_the_box_at_the_walk_s_speed() -> None:
     plant = plant_model(Box(mass=4.0, floor_friction=0.4))
     pushed = {f: play(plant, lambda t, f=f: walk(GAIT, t, AHEAD, (f, 0.0)), 5.0).box for f in (0.0, 20.0)}

@@ -54,6 +54,7 @@ def stands_up(body: EmulatedBody) -> None:
             body.obey(servo(start + share * (end - start)))
 
 
+@pytest.mark.medium
 def test_it_lies_with_folded_calves_stands_up_and_sinks_when_damped(lying: EmulatedBody) -> None:
     state, _ = lying.obey(MotorCommand(DAMPED))
     assert 0.05 < lying.state.trunk.position[2] < 0.12
@@ -265,6 +266,7 @@ def test_no_motive_is_one_line() -> None:
             NatNet("127.0.0.1", deaf.getsockname()[1], 0.2).connect()
 
 
+@pytest.mark.medium
 def test_the_vendors_own_client_stands_the_robot_up_through_it() -> None:
     """The emulator's socket on one side, their `UDP` class on the other, in step with the emulated clock."""
     sdk = pytest.importorskip(
