@@ -6,7 +6,7 @@
 For each plant free walking is recorded and the robot identified; then each task runs, without and with that
 robot. `--strangers N` adds robots that are drawn at random, with several differences at once, some of them
 no unknowns (feet that sink, heavier legs, soles): `s0`, `s1`, ... `--try JSON` repeats all runs under other
-settings, such as '{"control": {"samples": 5, "draws": 2}}' or '{"insisting": {"window": 0.5}}'.
+settings, such as '{"control": {"samples": 5}}' or '{"insisting": {"window": 0.5}}'.
 Each result is a line of JSON on the standard output, so that a run that was cut can go on from what it
 printed; a table follows them.
 """

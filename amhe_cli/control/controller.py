@@ -137,7 +137,6 @@ class Controller:
         in_force: FloatArray,
         belief: Mapping[str, float],
         deadline: float | None = None,
-        sets: Callable[[int], FloatArray | None] = lambda count: None,
     ) -> Plan:
         """Plan from one period after the state on.
 
@@ -147,7 +146,6 @@ class Controller:
             belief: Believed parameters by name.
             deadline: When the plan is due, by time.monotonic() [s]: samples for which there is no time are
                 left out, the least worthy first. None: no sample is left out.
-            sets: Draws so many sets of parameters (k, d) from the belief; None where it is certain.
         """
         period = self._settings.period
         theta = np.array([belief[name] for name in self._names])
@@ -156,17 +154,15 @@ class Controller:
         times = start.time + period * np.arange(self._settings.horizon, dtype=np.float64)
         qpos, qvel = self._robot.coordinates(start)
 
-        drawn = sets(self._settings.draws) if self._settings.draws else None
-        several = theta[None] if drawn is None else drawn
         sampled: list[tuple[FloatArray, FloatArray]] = []
 
         def evaluate(x: FloatArray) -> Scores:
             targets = self._targets(move, times, x)
-            rollouts = self._roll_out_in_time(several, qpos, qvel, targets, deadline)
-            done = len(rollouts.completed) // len(several)
+            rollouts = self._roll_out_in_time(theta, qpos, qvel, targets, deadline)
+            done = len(rollouts.completed)
             sampled.append((targets[:done], rollouts.qpos[:_PICTURED]))
             terms = move.terms(times + period, self._robot.bodies(rollouts.qpos, rollouts.qvel))
-            return self._scores(x[:done], terms, rollouts.completed.reshape(done, -1))
+            return self._scores(x[:done], terms, rollouts.completed)
 
         switched = self._behaviour.switches(start.time - period, start.time)
         step = self._sampler.step(evaluate, switched)
@@ -181,7 +177,7 @@ class Controller:
     def _predicted(self, state: Any, in_force: FloatArray, theta: FloatArray) -> Any:
         """The state one period later; the same state where the prediction diverges."""
         qpos, qvel = self._robot.coordinates(state)
-        one = self._roll_out(theta[None], qpos, qvel, in_force[None, None])
+        one = self._roll_out(theta, qpos, qvel, in_force[None, None])
         time = state.time + self._settings.period
         if not one.completed[0]:
             return replace(state, time=time)
@@ -195,44 +191,35 @@ class Controller:
 
     def _roll_out_in_time(
         self,
-        sets: FloatArray,
+        theta: FloatArray,
         qpos: FloatArray,
         qvel: FloatArray,
         targets: FloatArray,
         deadline: float | None,
     ) -> Rollouts:
-        """Roll out the first ones of some joint targets (n, H, joints), as many as there is time for.
-
-        Each under all sets of parameters (k, d), one after the other.
-        """
+        """Roll out the first ones of some joint targets (n, H, joints), as many as there is time for."""
         parts: list[Rollouts] = []
         done = 0
         while count := self._pace.next(done, len(targets), deadline):
-            parts.append(self._roll_out(sets, qpos, qvel, targets[done : done + count]))
+            parts.append(self._roll_out(theta, qpos, qvel, targets[done : done + count]))
             self._pace.rolled_out(count)
             done += count
         return parts[0] if len(parts) == 1 else joined(parts)
 
     def _roll_out(
-        self, sets: FloatArray, qpos: FloatArray, qvel: FloatArray, targets: FloatArray
+        self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, targets: FloatArray
     ) -> Rollouts:
-        """Roll out joint targets (n, H, joints) under sets (k, d): n k rollouts, a row a control period."""
-        count, fine = len(targets) * len(sets), self._settings.substeps
+        """Roll out joint targets (n, H, joints); one row of states for each control period."""
+        count, fine = len(targets), self._settings.substeps
         inputs = np.empty((count, fine * targets.shape[1], targets.shape[2]))
-        inputs[..., self._robot.servos] = np.repeat(np.repeat(targets, len(sets), axis=0), fine, axis=1)
-        theta = np.tile(sets, (len(targets), 1))
+        inputs[..., self._robot.servos] = np.repeat(targets, fine, axis=1)
+        theta = np.broadcast_to(theta, (count, theta.size))
         rows = self._engine.rollout(theta, qpos, qvel, inputs, np.full(count, inputs.shape[1]))
         return replace(rows, qpos=rows.qpos[:, fine - 1 :: fine], qvel=rows.qvel[:, fine - 1 :: fine])
 
     def _scores(self, x: FloatArray, terms: dict[str, FloatArray], completed: BoolArray) -> Scores:
-        """Scores of plans (n, d) by the terms of their rollouts (n k, H), of which some completed (n, k)."""
         knots, _ = self._sampler.split(x)
         means = {name: term.mean(axis=-1) for name, term in terms.items()}
-        cost = np.sum(list(means.values()), axis=0)
-        cost = np.where(completed.ravel() & np.isfinite(cost), cost, np.inf)
-        if completed.shape[1] > 1:
-            worst = max(1, round(self._settings.risk * completed.shape[1]))
-            cost = np.sort(cost.reshape(completed.shape))[:, -worst:].mean(axis=1)
-            means = {name: term.reshape(completed.shape).mean(axis=1) for name, term in means.items()}
         means["knots"] = self._behaviour.knot_weight * (knots**2).sum(axis=-1).mean(axis=-1)
-        return Scores(cost + means["knots"], means)
+        cost = np.sum(list(means.values()), axis=0)
+        return Scores(np.where(completed & np.isfinite(cost), cost, np.inf), means)

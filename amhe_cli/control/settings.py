@@ -38,7 +38,3 @@ class ControlSettings(SettingsGroup):
     """Bounds of the refined sigma, as multiples of its start."""
     temperature: Positive = 0.1
     """Temperature of MPPI's weights, in units of (median - least) cost: the same for any scale of costs."""
-    draws: Annotated[int, Field(ge=0)] = 0
-    """Sets of parameters, drawn from the belief, that each plan is rolled out with; 0: the belief's mean."""
-    risk: Share = 1.0
-    """Share of a plan's rollouts, the costliest ones, whose mean is its cost (CVaR); 1: all of them."""

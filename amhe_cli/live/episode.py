@@ -12,7 +12,6 @@ from typing import Any, Protocol
 
 from amhe_cli.control.controller import LEAST, Controller, Plan, remembered
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.belief import Belief
 from amhe_cli.core.log import Samples
 from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.estimation.online.tracker import Tracker
@@ -63,10 +62,6 @@ class BeliefSource(Protocol):
 
     def at(self, time: float) -> dict[str, float]:
         """Parameters by name, at a time [s]."""
-        ...
-
-    def sets(self, count: int) -> FloatArray | None:
-        """Draws of all parameters (count, d), the same ones until the belief changes; None: certain."""
         ...
 
     def learn(self, cycle: Cycle) -> tuple[News, ...]:
@@ -126,7 +121,7 @@ class Episode:
             estimate = self.observe(now, measured)
             played = self.target.in_force(now)
             belief = self.belief.at(now)
-            plan = self.controller.plan(estimate, played, belief, due, self.belief.sets)
+            plan = self.controller.plan(estimate, played, belief, due)
             self.target.play(plan)  # before anything else takes time
             handed_over = time.monotonic()
             plan_ms = 1e3 * (time.perf_counter() - begun)
@@ -160,10 +155,6 @@ class FixedBelief:
         """See `BeliefSource`."""
         return self._parameters()
 
-    def sets(self, count: int) -> FloatArray | None:
-        """See `BeliefSource`."""
-        return None
-
     def learn(self, cycle: Cycle) -> tuple[News, ...]:
         """See `BeliefSource`."""
         return ()
@@ -181,22 +172,16 @@ class AdaptiveBelief:
 
     def __init__(self, start: Mapping[str, float], tracker: Tracker) -> None:
         self._belief, self._tracker = dict(start), tracker
-        self._newest: Belief | None = None
 
     def at(self, time: float) -> dict[str, float]:
         """See `BeliefSource`: line 9 of Algorithm 1."""
         return dict(self._belief)
-
-    def sets(self, count: int) -> FloatArray | None:
-        """See `BeliefSource`."""
-        return None if self._newest is None else self._newest.sample(count, 0)
 
     def learn(self, cycle: Cycle) -> tuple[News, ...]:
         """See `BeliefSource`."""
         news = self._tracker.feed(cycle.samples, cycle.time, begin=not cycle.hurried)
         for estimate in news:
             if isinstance(estimate, Estimate):
-                self._newest = estimate.belief
                 self._belief |= zip(estimate.belief.names, estimate.theta.tolist(), strict=True)
         return news
 

@@ -170,48 +170,6 @@ def test_rollouts_hold_each_target_for_a_period_under_the_belief() -> None:
     np.testing.assert_allclose(behaviour.made[0].bodies, np.tile(0.03 + 0.03 * np.arange(1, 6), (6, 1)))
 
 
-class HeavyFails(Gliding):
-    """Carts glide the less the heavier they are, and those above 8 kg diverge."""
-
-    def rollout(self, theta: FloatArray, *call: Any) -> Rollouts:
-        done = super().rollout(theta, *call)
-        done.qpos[..., 0] /= theta[:, :1]
-        return replace(done, completed=theta[:, 0] < 8.0)
-
-
-class Far(Still):
-    """Cost by how far the cart is from 1 cm."""
-
-    def terms(self, times: FloatArray, bodies: FloatArray) -> dict[str, FloatArray]:
-        return {"off": np.abs(bodies - 0.01)}
-
-
-@pytest.mark.parametrize(("risk", "counted"), [(1.0, [1.0, 2.0, 4.0]), (0.3, [1.0]), (0.6, [1.0, 2.0])])
-def test_a_plan_costs_what_its_worst_draws_of_the_belief_cost(risk: float, counted: list[float]) -> None:
-    behaviour, engine = Standing(), HeavyFails()
-    behaviour.move = lambda state, belief: Far(0.0, np.zeros(2))  # type: ignore[method-assign,assignment]
-    by = controller(behaviour, engine, refine="never", draws=3, risk=risk)
-    sets = np.array([[4.0, 0.1], [1.0, 0.2], [2.0, 0.3]])
-    plan = by.plan(STATE, HOME, BELIEF, sets=lambda count: sets[:count])
-    ahead, call = engine.calls
-    np.testing.assert_array_equal(ahead.theta, [[3.0, 0.4]])
-    np.testing.assert_array_equal(call.theta, np.tile(sets, (6, 1)))
-    np.testing.assert_array_equal(call.inputs[0], call.inputs[2])
-    assert plan.step is not None and plan.step.rollouts == 6
-    start = 0.03 / 3.0  # the prediction's
-    glided = start + 0.03 * np.arange(1, 6)
-    costs = [np.abs(glided / mass - 0.01).mean() for mass in counted]
-    assert plan.step.best == pytest.approx(np.mean(costs))
-
-
-def test_a_plan_that_fails_under_one_draw_is_no_plan() -> None:
-    behaviour = Standing()
-    behaviour.move = lambda state, belief: Far(0.0, np.zeros(2))  # type: ignore[method-assign,assignment]
-    by = controller(behaviour, HeavyFails(), refine="never", draws=2)
-    plan = by.plan(STATE, HOME, BELIEF, sets=lambda count: np.array([[4.0, 0.1], [9.0, 0.1]]))
-    assert plan.step is not None and plan.step.diverged == 6
-
-
 def test_with_time_enough_a_plan_is_that_of_lock_step_to_the_bit() -> None:
     waited, hurried = (controller(Standing(), Gliding(), refine="always", samples=12) for _ in range(2))
     for state in (STATE, LATER):
