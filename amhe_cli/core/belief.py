@@ -311,7 +311,9 @@ def _read(path: Path, system: Described | None, belief_anyway: bool) -> Belief:
     elif not _are_parts(list(content.owed.values()), content.systematic or [], content.covariance):
         file.problem(("owed",), f"owed must have errors of {len(names)} numbers, a part of systematic")
     for i, entry in enumerate(content.parameters if not mistake else ()):
-        sd, most = content.covariance[i][i] ** 0.5, _widest(entry)
+        sd = content.covariance[i][i] ** 0.5
+        # the largest sd that means anything: of a logarithm, or beside the estimate
+        most = 50.0 if entry.scale == "log" else 1e9 * max(1.0, abs(entry.estimate))
         if sd > most:
             what = f"log({entry.name})" if entry.scale == "log" else entry.name
             text = f"{what} has an sd of {sd:.3g}; at most {most:.3g} would be valid"
@@ -402,11 +404,6 @@ def _suited(belief: Belief, system: Described) -> Belief:
             logger.warning(f"this belief rests on {name} fixed at {value:g}; here it is {now} (`fix`)")
     suited = belief.without([name for name in belief.names if name not in system.sets]).given(system.fixed)
     return replace(suited, system=system.name, model=system.parts, sets=system.sets, fixed=system.fixed)
-
-
-def _widest(entry: _Entry) -> float:
-    """The largest sd that means anything: of a logarithm, or beside the estimate."""
-    return 50.0 if entry.scale == "log" else 1e9 * max(1.0, abs(entry.estimate))
 
 
 def _covariance_mistake(rows: list[list[float]], size: int) -> str | None:

@@ -64,7 +64,8 @@ def cleaned(
         factor = signal.factors.get(quantity, 1.0)
         at, sizes = spikes(values[rows] * factor, wraps=wraps, turns=quantity == "orientation")
         if at.size:
-            most, unit = int(np.argmax(sizes)), "" if quantity == "orientation" else _unit(quantity)
+            most = int(np.argmax(sizes))
+            unit = "" if quantity == "orientation" else f" {QUANTITIES[quantity].split(' or ')[-1]}"
             notes.append(
                 f"{at.size} sample{'s' if at.size > 1 else ''} of {quantity} left out, the largest "
                 f"{sizes[most]:.3g}{unit} at {times[rows[at[most]]] - times[0]:.2f} s: no motion leaps there "
@@ -166,10 +167,6 @@ def ordinal(number: int) -> str:
     """'2nd', '3rd', '4th'."""
     ending = {1: "st", 2: "nd", 3: "rd"}.get(number % 10 if number // 10 % 10 != 1 else 0, "th")
     return f"{number}{ending}"
-
-
-def _unit(quantity: str) -> str:
-    return f" {QUANTITIES[quantity].split(' or ')[-1]}"
 
 
 #: Rounding of times [s] that does not count.

@@ -99,11 +99,6 @@ class _Loader(*_BASES):
             raise yaml.constructor.ConstructorError(None, None, text, node.start_mark) from None
 
 
-def _decimal(loader: yaml.SafeLoader, node: Any) -> int:
-    """An integer in decimal: `010` is ten, not eight."""
-    return int(loader.construct_scalar(node))
-
-
 #: Pattern of a number that is no integer, by YAML 1.2's core schema.
 _FLOAT = r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)"
 for _tag, _pattern, _first in (
@@ -114,7 +109,8 @@ for _tag, _pattern, _first in (
     ("merge", "<<", "<"),
 ):
     _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(f"^(?:{_pattern})$"), list(_first))
-_Loader.add_constructor("tag:yaml.org,2002:int", _decimal)
+# in decimal: `010` is ten, not eight
+_Loader.add_constructor("tag:yaml.org,2002:int", lambda loader, node: int(loader.construct_scalar(node)))
 
 
 def scalar(text: str) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import logging
 from collections.abc import Iterator
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
 from functools import cache
 
@@ -76,10 +76,12 @@ def open_engine(
         logger.log(NOTE, "the CPU computes all rollouts: %s", str(error).partition(";")[0])
         return cpu
 
-    @cache
-    def begin() -> Future[Engine]:
-        return in_background(lambda: _loaded(_gpu_engine(address, None, *about, senses)))
+    def loaded() -> Engine:
+        engine = _gpu_engine(address, None, *about, senses)
+        engine.load()
+        return engine
 
+    begin = cache(lambda: in_background(loaded))
     engine = AutoEngine(cpu, Opening(begin), lambda: begin().result(), about[0], threads)
     logger.log(
         NOTE, "the graphics card%s, where it is quicker: calls of %.0f equally long rollouts or more; "
@@ -119,12 +121,6 @@ def _gpu_engine(
         return GpuEngine(model, edits, input_spec, sensors, cards)
     except ImportError as error:
         raise _missing(error) from None
-
-
-def _loaded(engine: GpuEngine) -> Engine:
-    """The engine of the cards with its kernels."""
-    engine.load()
-    return engine
 
 
 @contextmanager

@@ -71,10 +71,8 @@ def topics_in(
     named = "" if alone else table.name
     own = {_bare(name): one for name, one in drives.items() if _bare(name) not in map(_bare, joints)}
     meanings = [m for column in table.entries if (m := _meaning(named, column, joints, own)) is not None]
-    actuated, driven = (
-        [joint for joint in joints if joint in {of for of, takes in drives.values() if takes in some}]
-        for some in (("position", "velocity", "effort"), ("effort",))
-    )
+    actuated = [joint for joint in joints if joint in {of for of, _ in drives.values()}]
+    driven = any(takes == "effort" for _, takes in drives.values())
     head = named or "the table"
     states = _topic(head, table, [m for m in meanings if not m.command], joints, alone)
     given, name = [m for m in meanings if m.command], f"{head} command"

@@ -147,17 +147,13 @@ def estimates(group: Group) -> Estimates | None:
     rows = [row for row in rows if row is not None]
     if not rows:
         return None
-    mass, friction, product = _rms(np.concatenate([errors for errors, _, _ in rows]))
+    errors = np.concatenate([errors for errors, _, _ in rows])
+    mass, friction, product = np.sqrt((errors**2).mean(axis=0)).tolist()
     mass_held, friction_held = np.concatenate([held for _, held, _ in rows]).mean(axis=0).tolist()
     resolved = float(np.mean([done for *_, done in rows]))
     return Estimates(
         group.task, group.mode, len(rows), product, mass, friction, mass_held, friction_held, resolved
     )
-
-
-def _rms(errors: FloatArray) -> list[float]:
-    """Rms of each column of errors (m, k)."""
-    return np.sqrt((errors**2).mean(axis=0)).tolist()
 
 
 def change_of(result: CellResult) -> float | None:

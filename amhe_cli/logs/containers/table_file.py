@@ -82,7 +82,8 @@ class TableFile(LogFile):
         numbers = [column.kind == "number" for column in table.columns]
         counts = [column.count or 1 for column in table.columns]
         units = [unit_of(column.name) for column in table.columns]
-        self._factors = np.repeat([_factor(unit) for _, unit in units], counts)
+        factors = [FACTORS.get(unit, FACTORS.get(unit.lower(), 1.0)) for _, unit in units]
+        self._factors = np.repeat(factors, counts)
         self._kept = np.repeat(numbers, counts)
         names = [name for name, _ in units]
         clock = clock_of(table.columns)
@@ -153,10 +154,6 @@ def _clock(path: Path, columns: Sequence[Column], rows: FloatArray) -> tuple[int
         return place, 1.0
     unit = unit_of(columns[number].name)[1].lower()
     return place, _NANOSECONDS.get(unit) or _guessed_unit(rows[:, place])
-
-
-def _factor(unit: str) -> float:
-    return FACTORS.get(unit, FACTORS.get(unit.lower(), 1.0))
 
 
 def clock_of(columns: Sequence[Column]) -> int | None:

@@ -217,7 +217,9 @@ class LogWriter:
             content: Its fields, such as {"header": {"frame_id": "world"}, "point": (0, 0, 1)}: messages in it
                 as mappings, or as their fields in order. What is left out is zero or empty.
         """
-        channel, known = self._channels.get(topic) or self._channel(topic, msgtype)
+        if topic not in self._channels:
+            self._channels[topic] = self._mcap.register_channel(topic, "cdr", self._schema(msgtype)), msgtype
+        channel, known = self._channels[topic]
         if known != msgtype:
             raise ValueError(f"topic {topic!r} carries {known}, not {msgtype}")
         if "header" in [name for name, _ in self._store.fielddefs[msgtype][1]]:
@@ -298,11 +300,6 @@ class LogWriter:
         """Attach a file, for instance the configuration or the model."""
         with self._keeping():
             self._mcap.add_attachment(0, 0, name, media_type, data)
-
-    def _channel(self, topic: str, msgtype: str) -> tuple[int, str]:
-        channel = self._mcap.register_channel(topic, "cdr", self._schema(msgtype))
-        self._channels[topic] = channel, msgtype
-        return self._channels[topic]
 
     def _schema(self, msgtype: str) -> int:
         if msgtype not in self._schemas:
