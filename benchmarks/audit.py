@@ -27,7 +27,7 @@ from typing import Any
 import mujoco
 import numpy as np
 from common import PROJECT, over_seeds, show
-from effort import TORQUE, arm
+from effort import TORQUE, arm, motion
 
 from amhe_cli.audit.audit import audit
 from amhe_cli.audit.claims import Claim, claims_of
@@ -63,16 +63,6 @@ def spec_of(robot: str) -> mujoco.MjSpec:
     return mujoco.MjSpec.from_file(str(menagerie_model(robot)))
 
 
-def moved_at(rng: np.random.Generator, t: FloatArray, joints: int) -> list[FloatArray]:
-    """Positions, velocities and accelerations (T, joints): sums of five sines of 0.1 to 0.9 Hz."""
-    w = 2.0 * np.pi * np.array([0.1, 0.25, 0.4, 0.6, 0.9])[:, None, None]
-    phase = rng.uniform(0.0, 2.0 * np.pi, (5, 1, joints))
-    size = rng.uniform(0.3, 1.0, (5, 1, joints)) / (w / w[0]) ** 0.8
-    return [
-        (0.7 * size * w**k * np.sin(w * t[:, None] + phase + k * np.pi / 2)).sum(axis=0) for k in range(3)
-    ]
-
-
 def recorded(
     robot: str, truth: mujoco.MjModel, seconds: float, rng: np.random.Generator
 ) -> tuple[list[str], FloatArray]:
@@ -80,7 +70,7 @@ def recorded(
     times = np.arange(0.0, seconds, 1.0 / HZ)
     joints = [truth.joint(j).name for j in range(truth.njnt)]
     if robot not in FILES:
-        position, speed, acceleration = moved_at(rng, times, truth.nv)
+        position, speed, acceleration = motion(rng, times, truth.nv)
         needed = forces_along(truth, position, speed, acceleration).needed
         tau = needed + truth.dof_frictionloss * np.sign(speed)
         position = position + NOISE * rng.standard_normal(tau.shape)

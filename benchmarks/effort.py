@@ -106,12 +106,12 @@ def system_of(noise: float) -> System:
     )
 
 
-def motion(rng: np.random.Generator, t: FloatArray) -> list[FloatArray]:
-    """Positions, velocities and accelerations (T, 7): sums of five sines of 0.1 to 0.9 Hz."""
+def motion(rng: np.random.Generator, t: FloatArray, joints: int = 7) -> list[FloatArray]:
+    """Positions, velocities and accelerations (T, joints): sums of five sines of 0.1 to 0.9 Hz."""
     w = 2.0 * np.pi * np.array([0.1, 0.25, 0.4, 0.6, 0.9])[:, None, None]
     phase, size = (
-        rng.uniform(0.0, 2.0 * np.pi, (5, 1, 7)),
-        rng.uniform(0.3, 1.0, (5, 1, 7)) / (w / w[0]) ** 0.8,
+        rng.uniform(0.0, 2.0 * np.pi, (5, 1, joints)),
+        rng.uniform(0.3, 1.0, (5, 1, joints)) / (w / w[0]) ** 0.8,
     )
     return [
         (0.7 * size * w**k * np.sin(w * t[:, None] + phase + k * np.pi / 2)).sum(axis=0) for k in range(3)
