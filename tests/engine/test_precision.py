@@ -133,6 +133,13 @@ def test_random_models(first: int) -> None:
             assert apart(system, log) < 0.2, seed
 
 
+@pytest.mark.slow
+@pytest.mark.xfail(strict=True, reason="not mended: docs/notes/gpu.md, float32 on random models")
+@pytest.mark.parametrize("seed", [29, 46])
+def test_random_models_of_which_float32_says_something_else(seed: int) -> None:
+    assert apart(*chain(np.random.default_rng(seed))) < 0.2
+
+
 def bundled(name: str, **settings: Any) -> System:
     short = {"clips": {"length": [0.2, 0.3], "count": 4, "held_out": 0.0}}
     return System.load(name, short | {"identify": {"samples": 16, "iterations": 8}} | settings)
