@@ -24,6 +24,16 @@ HOIST = f"""
     <geom size=".1" mass="{MASS}"/></body></worldbody>
   <actuator><motor name="motor" joint="lift"/></actuator></mujoco>
 """
+#: A load that falls and one that lies on its side, each on a joint with a motor, and their k_e.
+TWO = f"""
+<mujoco><option timestep="{STEP}" gravity="0 0 -{GRAVITY}"/><worldbody>
+  <body name="a"><joint name="a" type="slide" axis="0 0 1" frictionloss=".1"/>
+    <geom size=".1" mass="2"/></body>
+  <body name="b" pos="1 0 0"><joint name="b" type="slide" axis="1 0 0" frictionloss=".4"/>
+    <geom size=".1" mass="1"/></body></worldbody>
+  <actuator><motor name="a" joint="a"/><motor name="b" joint="b"/></actuator></mujoco>
+"""
+GEARS = (("a", 0.3), ("b", 0.1))
 WORDS = {
     "load_friction_motor": 0.1,
     "load_friction_external": 0.3,
@@ -145,6 +155,29 @@ def test_engines_agree(opened: Open) -> None:
     engine = opened(system)
     one = open_engine(system, threads=1).rollout(*call)
     np.testing.assert_allclose(engine.rollout(*call).qpos, one.qpos, atol=max(1e-12, 100 * engine.precision))
+
+
+def test_the_order_of_the_numbers_in_the_file_means_nothing() -> None:
+    """Joint a is driven back by its load, joint b is not loaded, and all joints of the model have gears."""
+    numbers = {name: f'<numeric name="gear_friction/{name}" data="0 {k} 0 .2 1 0 0 0"/>' for name, k in GEARS}
+    found = []
+    for order in ("ab", "ba"):
+        written = "".join(numbers[name] for name in order)
+        system = System.from_model(
+            mujoco.MjSpec.from_string(TWO.replace("</mujoco>", f"<custom>{written}</custom></mujoco>")),
+            parameters={"m": {"targets": [{"body": "a", "set": "mass"}]}},
+            signals={
+                "q": {"joints": ["a", "b"], "noise": {"position": 0.001}},
+                "u": {"actuators": ["a", "b"]},
+            },
+            warn=False,
+        )
+        theta, steps = system.space.nominal[None], 100
+        inputs = np.tile([10.0, 1.0], (1, steps, 1))
+        engine = open_engine(system, threads=1)
+        found.append(engine.rollout(theta, np.zeros((1, 2)), np.ones((1, 2)), inputs, np.array([steps])).qvel)
+    np.testing.assert_array_equal(*found)
+    assert abs(found[0][0, -1]).max() > 0.01, "something moves"
 
 
 def test_contacts_load_the_gear_and_friction_itself_does_not() -> None:

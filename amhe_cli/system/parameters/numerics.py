@@ -33,7 +33,7 @@ class Numerics:
     how: Collection[str]
 
     def rows(self, model: mujoco.MjModel) -> dict[int, list[int]]:
-        """Row of an element -> where its numbers are in `numeric_data`.
+        """Row of an element -> where its numbers are in `numeric_data`, in the order of the elements.
 
         Raises:
             ConfigError: A numeric has too few or too many numbers, or names no element.
@@ -53,7 +53,7 @@ class Numerics:
                 raise ConfigError(f"the numeric {name!r} of the model names no {kind}")
             first = int(model.numeric_adr[number])
             rows[row] = list(range(first, first + len(self.own)))
-        return rows
+        return dict(sorted(rows.items()))
 
     def acting(self, model: mujoco.MjModel, set_by_parameters: Collection[int]) -> dict[int, list[int]]:
         """As `rows`, of elements of which a number that says how much is not zero, or is set."""
