@@ -8,7 +8,6 @@ No search waits for another one, but for the run that is going on.
 
 from __future__ import annotations
 
-import os
 import pickle
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -16,10 +15,10 @@ from concurrent.futures import Future
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import cache
-from multiprocessing import AuthenticationError, current_process, get_context
-from multiprocessing.connection import Client, Connection, Listener
+from multiprocessing import get_context
+from multiprocessing.managers import BaseManager
 from pathlib import Path
-from threading import Condition, Lock, Thread
+from threading import Condition, Thread
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -48,22 +47,14 @@ def sharing(devices: list[str]) -> Iterator[str]:
         SimulationError: That process did not begin.
     """
     with tempfile.TemporaryDirectory() as folder:
-        address, spawn = str(Path(folder) / "cards"), get_context("spawn")
-        ready, tell = spawn.Pipe(duplex=False)
-        process = spawn.Process(target=_serve, args=(address, devices, tell), daemon=True)
-        process.start()
-        tell.close()
+        manager = _Manager(address := str(Path(folder) / "cards"), ctx=get_context("spawn"))
         try:
-            lacks = ready.recv()
+            manager.start()
         except EOFError:
             raise SimulationError("the process that has the graphics cards did not begin") from None
-        if lacks is not None:
-            raise lacks
-        try:
+        with manager:
+            manager.desk().open(devices)
             yield address
-        finally:
-            process.terminate()
-            process.join()
 
 
 # -- the process that asks ---------------------------------------------------------------------------------
@@ -83,8 +74,8 @@ class SharedCard:
     memory = 0
 
     def __init__(self, blueprint: Blueprint, address: str) -> None:
-        self._line, self._name, self._most = _line(address, os.getpid()), blueprint.name, MOST
-        self._line.ask(self._name, blueprint.packed)
+        self._desk, self._name, self._most = _desk_at(address), blueprint.name, MOST
+        self._ask(blueprint.packed)
 
     @property
     def part(self) -> float:
@@ -93,7 +84,7 @@ class SharedCard:
 
     def run(self, job: Job) -> Predicted:
         """See `Card.run`."""
-        completed, values = self._line.ask(self._name, job)
+        completed, values = self._ask(job)
         return Predicted(tuple(each.astype(np.float64) for each in values), completed)
 
     def at_once(self, record: int) -> int:
@@ -110,34 +101,22 @@ class SharedCard:
     def load(self) -> None:
         """See `Card.load`; likewise."""
 
-
-class _Line:
-    """The connection of this process to that with the cards."""
-
-    def __init__(self, address: str) -> None:
-        self._connection, self._lock = Client(address, authkey=current_process().authkey), Lock()
-
-    def ask(self, *question: Any) -> Any:
-        """What the other process answers.
-
-        Raises:
-            SimulationError: It refuses, or is gone.
-        """
-        with self._lock:
-            try:
-                self._connection.send(question)
-                answer = self._connection.recv()
-            except (EOFError, OSError):
-                raise SimulationError("the process that has the graphics cards has ended") from None
-        if isinstance(answer, Exception):
-            raise answer
-        return answer
+    def _ask(self, about: bytes | Job) -> Any:
+        try:
+            return self._desk.ask(self._name, about)
+        except (EOFError, OSError):
+            raise SimulationError("the process that has the graphics cards has ended") from None
 
 
 @cache
-def _line(address: str, process: int) -> _Line:
-    """One for each process: a forked one has the connections of its parent in its memory."""
-    return _Line(address)
+def _desk_at(address: str) -> _Desk:
+    """What stands for the desk of another process; it connects anew in each thread and forked process."""
+    manager = _Manager(address)
+    try:
+        manager.connect()
+    except OSError:
+        raise SimulationError("the process that has the graphics cards has ended") from None
+    return manager.desk()
 
 
 # -- the process that has the cards ------------------------------------------------------------------------
@@ -157,62 +136,32 @@ class _Asked:
         return (self.name, self.about.picks) if isinstance(self.about, Job) else self
 
 
-def _serve(address: str, devices: list[str], tell: Connection) -> None:
-    """Answer until the process is ended."""
-    try:
-        from amhe_cli.engine.gpu.card import Card  # which takes seconds to load
-    except ImportError as error:
-        tell.send(error)
-        return
-    listener = Listener(address, backlog=1024, authkey=current_process().authkey)
-    desk = _Desk(Card)
-    for device in devices:
-        Thread(target=desk.work, args=(device,), daemon=True).start()
-    tell.send(None)
-    while True:
-        try:
-            Thread(target=_hear, args=(listener.accept(), desk.put), daemon=True).start()
-        except (AuthenticationError, EOFError, OSError):
-            continue  # one that is not of ours, or has ended
-
-
-def _hear(connection: Connection, ask: Callable[[_Asked], None]) -> None:
-    """Answer the questions of one process, one after the other, until it ends."""
-    while True:
-        try:
-            asked = _Asked(*connection.recv())
-            ask(asked)
-            try:
-                answer = asked.answer.result()
-            except Exception as error:
-                answer = error
-            connection.send(answer)
-        except (EOFError, OSError):
-            return
-
-
 class _Desk:
-    """Where questions wait for a card that is free.
+    """Where questions wait for a card that is free."""
 
-    Args:
-        card: Makes the worlds of a blueprint on a device, see `Card`.
-    """
-
-    def __init__(self, card: Callable[..., Card]) -> None:
-        self._new = card
+    def __init__(self) -> None:
         self._waiting: list[_Asked] = []
         self._change = Condition()
         self._packed: dict[str, bytes] = {}
 
-    def put(self, asked: _Asked) -> None:
-        """A new question."""
+    def open(self, devices: Sequence[str]) -> None:
+        """Begin to answer with these cards."""
+        from amhe_cli.engine.gpu.card import Card  # which takes seconds to load
+
+        for device in devices:
+            Thread(target=self._work, args=(Card, device), daemon=True).start()
+
+    def ask(self, name: str, about: bytes | Job) -> Any:
+        """The answer to a question, as soon as a card has it."""
+        asked = _Asked(name, about)
         with self._change:
-            if isinstance(asked.about, bytes):
-                self._packed[asked.name] = asked.about
+            if isinstance(about, bytes):
+                self._packed[name] = about
             self._waiting.append(asked)
             self._change.notify()
+        return asked.answer.result()
 
-    def work(self, device: str) -> None:
+    def _work(self, new: Callable[..., Card], device: str) -> None:
         """Answer questions with one card, as long as the process lives."""
         cards: dict[str, Card] = {}
         while True:
@@ -223,12 +172,11 @@ class _Desk:
                     continue
                 try:
                     name = left[0].name
-                    cards[name] = cards.pop(name, None) or self._new(
-                        self._blueprint(name), device, coarse=True
-                    )
+                    card = cards.pop(name, None) or new(pickle.loads(self._packed[name]), device, coarse=True)
+                    cards[name] = card  # the last used is the last to go
                     if len(cards) > KEPT:
-                        del cards[next(iter(cards))]  # the last used is the last to go
-                    _answer(left, cards[name])
+                        del cards[next(iter(cards))]
+                    _answer(left, card)
                 except NoRoomError as error:  # worlds of other models go, and each job gets a run of its own
                     for card in cards.values():
                         card.clear()
@@ -238,9 +186,6 @@ class _Desk:
                     for asked in left:
                         asked.answer.set_exception(error)
 
-    def _blueprint(self, name: str) -> Blueprint:
-        return pickle.loads(self._packed[name])
-
     def _next(self) -> list[_Asked]:
         """The oldest question, and those that can be answered with it."""
         with self._change:
@@ -249,6 +194,20 @@ class _Desk:
             some = [asked for asked in self._waiting if asked.kind == kind]
             self._waiting = [asked for asked in self._waiting if asked.kind != kind]
         return some
+
+
+@cache
+def _desk() -> _Desk:
+    return _Desk()
+
+
+class _Manager(BaseManager):
+    """The process that has the cards, or what leads to it."""
+
+    desk: Callable[[], _Desk]
+
+
+_Manager.register("desk", _desk, exposed=("open", "ask"))
 
 
 def _answer(some: Sequence[_Asked], card: Card) -> None:
