@@ -178,11 +178,6 @@ def _of_pair(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]
     return [Cells(f"pair_{field}", row, columns)]
 
 
-def _overlap(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
-    """How far two surfaces overlap before they push: MuJoCo's margin, below zero."""
-    return [Cells("pair_margin", row, factor=-1.0)]
-
-
 def _of_joint(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
     """A number of every degree of freedom of a joint, or its spring's stiffness."""
     if entry.set == "stiffness":
@@ -196,14 +191,6 @@ def _spring_rest(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Ce
     if int(model.jnt_type[row]) not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
         raise ConfigError(f"joint {model.joint(row).name!r} has no one coordinate: only hinges and slides do")
     return [Cells("qpos_spring", int(model.jnt_qposadr[row]))]
-
-
-def _of_gear(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
-    return number_cells(model, row, entry.set)
-
-
-def _of_firmware(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
-    return servo_cells(model, row, entry.set)
 
 
 def _of_gap(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
@@ -305,9 +292,13 @@ def _ctrl_limit(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cel
     return range_cells(model, "actuator_ctrlrange", ctrl)
 
 
-_BODY, _JOINT, _GEAR, _GAP = {"body": _of_body}, {"joint": _of_joint}, {"joint": _of_gear}, {"joint": _of_gap}
+_BODY, _ACTUATOR = {"body": _of_body}, {"actuator": _of_actuator}
+_JOINT, _GAP = {"joint": _of_joint}, {"joint": _of_gap}
 _CONTACT = {"pair": _of_pair, "geom": _of_geom, "body": _of_geoms}
-_SERVO, _ACTUATOR = {"actuator": _of_firmware}, {"actuator": _of_actuator}
+#: How far two surfaces overlap before they push: MuJoCo's margin, below zero.
+_OVERLAP = {"pair": lambda model, row, entry: [Cells("pair_margin", row, factor=-1.0)]}
+_GEAR = {"joint": lambda model, row, entry: number_cells(model, row, entry.set)}
+_SERVO = {"actuator": lambda model, row, entry: servo_cells(model, row, entry.set)}
 #: Words of `set:` that set plain numbers.
 SETTERS: Mapping[str, Setter] = {
     "mass": Setter("kg", _BODY, positive=True),
@@ -318,7 +309,7 @@ SETTERS: Mapping[str, Setter] = {
     "rolling_friction": Setter("m", _CONTACT),
     "contact_time_constant": Setter("s", _CONTACT, positive=True),
     "contact_damping_ratio": Setter("-", _CONTACT, positive=True),
-    "contact_overlap": Setter("m", {"pair": _overlap}, lower=-inf),
+    "contact_overlap": Setter("m", _OVERLAP, lower=-inf),
     "damping": Setter("N m s/rad", _JOINT),
     "damping_quadratic": Setter("N m s^2/rad^2", _JOINT),
     "damping_cubic": Setter("N m s^3/rad^3", _JOINT),
