@@ -181,6 +181,7 @@ def _evidence(
         doubled_prior=np.where(alone, moves[firsts], np.nan),
         non_smooth=problem.non_smooth,
         means=lines.means,
+        unbounded=lines.of(fit.z + fit.posterior.step),
     )
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.statistics import correlation
+from amhe_cli.estimation.core.agreement import SURPRISE
 from amhe_cli.estimation.core.result import ParameterResult, Reason
 from amhe_cli.estimation.uncertainty.ledger import Ledger, Source, interval, size
 from amhe_cli.estimation.uncertainty.minimum import Rival
@@ -54,6 +55,7 @@ class Evidence:
         doubled_prior: Where the estimate would move if each parameter's prior sd were doubled, shape (d,).
         non_smooth: The response jitters, as behind contacts.
         means: Names of the values that common means are of, by the means' names.
+        unbounded: Where the estimate would be without bounds, shape (d,); None: where it is.
     """
 
     z: FloatArray
@@ -67,6 +69,7 @@ class Evidence:
     doubled_prior: FloatArray
     non_smooth: bool = False
     means: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    unbounded: FloatArray | None = None
     correlations: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
@@ -211,13 +214,14 @@ _TEXTS = {
 def _at_bound(space: ParameterSpace, evidence: Evidence, i: int) -> list[Reason]:
     """Where an estimate is at a bound: the bound decides it, not the data.
 
-    The end of a linear scale at 0 is physics: an armature that a sensor does not feel is 0, and the interval
-    says how large it may be.
+    A linear scale may well end at 0 where the truth is: an armature that a sensor does not feel. It only
+    decides where the data want less by more than chance.
     """
     lower, upper = (b[i] for b in space.bounds)
-    margin = min(0.01 * (upper - lower), 0.5 * float(evidence.ledger.sd[i]))
-    p = space.parameters[i]
-    if evidence.z[i] <= lower + margin and (p.log or p.lower != 0.0):
+    p, sd = space.parameters[i], float(evidence.ledger.sd[i])
+    margin = min(0.01 * (upper - lower), 0.5 * sd)
+    wanted = evidence.z[i] if evidence.unbounded is None else evidence.unbounded[i]
+    if evidence.z[i] <= lower + margin and (p.log or p.lower != 0.0 or wanted < lower - SURPRISE * sd):
         return [
             Reason("bound", (p.name,), 1.0, f"it stops at its lower bound {p.lower:g}: the data want less")
         ]

@@ -222,7 +222,9 @@ def test_the_end_of_a_linear_scale_at_0_is_no_bound_that_decides() -> None:
     linear = Parameter("armature", "kg m^2", 0.1, 0.0, 1.0, False, 0.1)
     space = ParameterSpace((*SPACE.parameters[:2], linear))
     z = np.array([0.0, 0.0, space.bounds[0][2]])
-    assert not any(reason.kind == "bound" for reason in verdicts(space, evidence(z=z))[2].reasons)
+    for beyond, decides in ((0.0, False), (2.0, False), (4.0, True)):
+        known = evidence(z=z, unbounded=z - beyond * evidence().ledger.sd)
+        assert any(reason.kind == "bound" for reason in verdicts(space, known)[2].reasons) == decides
 
 
 def test_parameters_that_are_known_only_together_name_each_other_and_their_product() -> None:
