@@ -32,7 +32,7 @@ def rounded(value: float, resolution: float, size: float | None = None) -> str:
     digits = decimals + math.floor(math.log10(abs(value)))  # behind the first
     if (abs(value) if size is None else size) < SMALL or not float(text):
         return f"{value:.{min(max(digits, 0), 5)}e}"
-    return f"{value:.{min(1 + max(0, digits), 6)}g}" if abs(value) >= 1e6 else text
+    return f"{value:.{min(1 + max(0, digits), 6)}g}" if abs(value) >= 1e6 or decimals > 8 else text
 
 
 def with_sd(estimate: float, sd: float) -> str:

@@ -107,6 +107,7 @@ def test_columns_can_be_left_out() -> None:
         (-0.001, 0.25, "-1e-03 ± 0.25"),
         (0.0, 0.25, "0 ± 0.25"),
         (0.005969, 6.8e-5, "0.005969 ± 0.000068"),
+        (0.1, 1e-12, "0.1 ± 1e-12"),
     ],
 )
 def test_an_estimate_has_the_digits_that_its_sd_leaves(estimate, sd, text) -> None:

@@ -30,6 +30,8 @@ _KNOWN = 0.5
 _RUBS = ("dof_damping", "dof_frictionloss")
 #: Step of a parameter, in its prior sd, for its slope.
 _STEP = 1e-4
+#: Slopes below this share of a body's largest number of the kind are rounding.
+_ROUNDING = 1e-9
 
 
 def body_numbers(
@@ -61,6 +63,8 @@ def body_numbers(
         for label, (estimate, prior, *values) in numbers.items():
             near, drawn = np.split(np.array(values), [count])
             slope, line = (near - estimate) / _STEP, f"{name}.{label}"
+            like = max(abs(values[0]) for other, values in numbers.items() if other[0] == label[0])
+            slope[np.abs(slope) < _ROUNDING * like] = 0.0
             before = float(np.sqrt(slope @ space.prior_covariance @ slope))
             known, verdict, given = ledger.mapped(slope[None] / (before or 1.0)), "prior", ""
             if before:  # else it is fixed
@@ -73,7 +77,7 @@ def body_numbers(
                     estimate=estimate,
                     prior=prior,
                     prior_sd=before,
-                    sd=float(np.std(drawn)),
+                    sd=float(np.std(drawn)) if before else 0.0,
                     lower=lower,
                     upper=upper,
                     bounds=(0.0 if label == "mass" else -np.inf, np.inf),

@@ -142,6 +142,18 @@ def test_a_fixed_coordinate_and_one_that_is_not_searched_have_their_values() -> 
     assert found["link.com_x"].estimate == pytest.approx(0.1)
 
 
+def test_rounding_is_no_slope() -> None:
+    """A factor on the whole inertia leaves the centre of mass where it is, but for the last digit."""
+    made = system()
+    made = replace(made, space=made.space.without([one for one in made.space.names if one != "link.alpha"]))
+    rng, known = np.random.default_rng(0), noise(1e-6 * np.eye(1))
+    found = {b.name: b for b in body_numbers(made, np.full(1, 0.3), known, rng, ())}
+    assert {name for name, b in found.items() if b.verdict == "identified"} == {"link.mass"} | {
+        f"link.I_{pair}" for pair in ("xx", "yy", "zz")
+    }
+    assert (found["link.com_x"].shrinkage, found["link.com_x"].sd) == (0.0, 0.0)
+
+
 @pytest.mark.medium
 def test_table_record_and_page_have_them() -> None:
     result = replace(
