@@ -239,6 +239,19 @@ def test_what_no_measurement_feels_is_held_at_its_prior(swing, caplog):
     assert "mass is held at its prior: no measurement in these logs depends on it" in caplog.text
 
 
+@pytest.mark.medium
+def test_first_states_before_a_contact_are_unknowns_in_the_last_iterations_alone():
+    identify_settings = {**CHEAP["identify"], "iterations": 6, "polish": 2, "first_state": "polish"}
+    clips = {"count": 3, "length": [0.1, 0.2]}
+    system = System.load("cube_toss", {"clips": clips, "identify": identify_settings})
+    result = identify(system, [fall(system)], None, IdentifyOptions(threads=1))
+    stages = {one.stage: one for one in result.iterations}
+    each = [stages["explore"].rollouts / clips["count"], stages["polish"].rollouts / result.clips.fitted]
+    assert list(stages) == ["explore", "polish"] and each[1] > 1.5 * each[0], "twelve more unknowns of a clip"
+    friction = found(result, "friction")
+    assert friction.lower < 0.3 < friction.upper and friction.shrinkage > 0.8
+
+
 def fall(system, noise: float = 1e-4) -> Log:
     """A cube that falls flat and slides, measured with this noise [SI]."""
     from amhe_cli.engine.open import open_engine
