@@ -337,16 +337,9 @@ def verdicts_of(wrong: BoolArray, determined: BoolArray) -> list[Verdict]:
 
 def in_order(lines: Iterable[Line]) -> list[Line]:
     """Lines as a table shows them: the worst verdict first, then part by part, what matters most first."""
-    lines, worst = list(lines), dict[tuple[Verdict, str], float]()
-    for line in lines:
-        place = line.verdict, line.of
-        worst[place] = max(worst.get(place, 0.0), line.weight or 1e-9 * abs(line.t))
-    return sorted(
-        lines,
-        key=lambda one: (
-            VERDICTS.index(one.verdict), -worst[one.verdict, one.of], one.of, -one.weight, -abs(one.t),
-        ),
-    )  # fmt: skip
+    lines = sorted(lines, key=lambda line: (VERDICTS.index(line.verdict), -line.weight, -abs(line.t)))
+    parts = list(dict.fromkeys((line.verdict, line.of) for line in lines))
+    return sorted(lines, key=lambda line: parts.index((line.verdict, line.of)))
 
 
 def _weights(

@@ -10,7 +10,7 @@ import click
 from amhe_cli.cli import kinds, options
 from amhe_cli.cli.command import Given, argument, command, option
 from amhe_cli.cli.session import Session
-from amhe_cli.core.errors import printable
+from amhe_cli.core.errors import ConfigError, printable
 
 if TYPE_CHECKING:
     from amhe_cli.audit.audit import Audit
@@ -129,6 +129,8 @@ def _logs(session: Session, model: Path, given: Given) -> None:
             )
 
     first = proposal(given.match != "motion")
+    if given.match not in (None, first.match):
+        raise ConfigError(f"--match {given.match}: these logs can only be compared by {first.match}")
     found = audited(first)
     if found.found.unexplained and first.match == "effort" and not (given.match or inputs.system):
         other = proposal(False)

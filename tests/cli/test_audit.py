@@ -137,8 +137,11 @@ def test_a_result_against_a_file(pendulum_log: Path, tmp_path: Path, capsys) -> 
 
 
 def test_other_arguments_are_refused(tmp_path: Path, capsys) -> None:
-    model, _ = spoilt(tmp_path)
+    model, log = spoilt(tmp_path)
     assert run(["audit", str(model)]) == 2
     assert "RESULT --against FILE" in capsys.readouterr().err
     assert run(["audit", "example:arm", "example:arm", "--set", "clips.no_such=8"]) == 2
     assert "no key 'no_such'" in capsys.readouterr().err
+    for what, model_and_log in (("effort", ("example:arm",) * 2), ("motion", (str(model), str(log)))):
+        assert run(["audit", *model_and_log, "--match", what]) == 2
+        assert f"--match {what}: these logs can only be compared by " in capsys.readouterr().err
