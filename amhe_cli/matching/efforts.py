@@ -28,9 +28,11 @@ from amhe_cli.system.system import System
 _RATE = 6.0
 #: Half the length of the low-pass, in samples that it leaves.
 _REACH = 4
-#: Dry friction turns over within this time of the joint [s], and below this share of its rms speed; how,
-#: differs from joint to joint: of published arms it sets in over 0.1 to 0.4 rad/s.
-_TURN, _SLOW = 0.01, 0.1
+#: A joint is about to turn over, or has just done so, within this time [s].
+_TURN = 0.01
+#: Share of its rms speed below which a joint is slow: dry friction sets in gradually, of every joint in
+#: another way (of published arms over 0.1 to 0.4 rad/s).
+_SLOW = 0.1
 #: Dry friction counts as known where this share of it acts, and it is known when.
 _ACTS, _KNOWN = 0.9, 0.1
 #: Noise that an effort has at least, as a share of its range.

@@ -138,9 +138,7 @@ def _motion(measured: _Measured) -> MeasuredMotion:
             moved[:, :, dofs] = found.first, found.second
             sd[:, dofs], band[dofs] = found.sd, found.band
         columns = {column for channel in channels for column in channel.columns}
-        for (
-            change
-        ) in moved:  # a follower's velocity, and so its acceleration, is its leader's times the slope
+        for change in moved:  # a follower's velocity and acceleration are its leader's, times the slope
             set_followers(model, qpos, change, columns)
         own = band[band > 0.0]
         bent = min(int(_ENDS / (own.min() * spacing * log.dt)) if own.size else 0, int(_MOST * rows.size))

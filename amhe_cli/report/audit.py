@@ -151,6 +151,9 @@ def _taken(lines: Sequence[Line], chosen: Sequence[str]) -> list[Line]:
 def _page(found: Audit, model: Path, record: Mapping[str, Any], origin: Mapping[str, Any]) -> str:
     wrong = [line for line in found.lines if line.verdict == VERDICTS[0]]
     untold = [line for line in found.lines if line.verdict == VERDICTS[2]]
+    rest = Section(
+        f"{len(untold)} numbers that these logs cannot tell", table=audit_table(untold), folded=True
+    )
     statements = [
         Statement(
             "bad",
@@ -168,17 +171,7 @@ def _page(found: Audit, model: Path, record: Mapping[str, Any], origin: Mapping[
             "Of the forces: what the difference is worth, as a share of the joints' forces along the motion.",
             table=audit_table([line for line in found.lines if line not in untold]),
         ),
-        *(
-            [
-                Section(
-                    f"{len(untold)} numbers that these logs cannot tell",
-                    table=audit_table(untold),
-                    folded=True,
-                )
-            ]
-            if untold
-            else []
-        ),
+        *[rest] * bool(untold),
         *([missing_section(found.found.missing)] if found.found.missing else []),
         *([overlay_section(found.found.fits)] if found.found.fits else []),
     ]

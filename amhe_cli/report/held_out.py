@@ -17,8 +17,6 @@ from amhe_cli.web.plots import Curve, Panel, figure, shown_unit
 
 #: In the names of channels of which each is the effort of one joint, along the measured motion.
 _EFFORT = ".effort of "
-
-
 #: Errors that a sentence names.
 _SAID = 3
 

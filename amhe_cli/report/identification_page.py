@@ -39,6 +39,8 @@ from amhe_cli.report.tables import NUMBER, STRONG, Table
 
 #: Clips whose fit is drawn.
 MAX_CLIPS = 3
+#: Sentences about what is taken as known.
+_GIVEN = 3
 #: Residuals of more than this many times the declared noise are pointed out.
 LARGE_RESIDUAL = 2.0
 #: Right end of the bars of residuals, in times the declared noise.
@@ -170,20 +172,16 @@ def _better(held_out: HeldOut | None) -> Iterator[Statement]:
         yield Statement("mixed" if worse else "good", f"{text}.", "held-out")
 
 
-#: Sentences about what is taken as known.
-_GIVEN = 3
-
-
 def _verdicts(parameters: Sequence[ParameterResult]) -> Iterator[Statement]:
     """One sentence for each verdict other than 'identified'; the table has the rest."""
     given: dict[str, list[str]] = {}
     for p in parameters:
         if p.verdict == "conditional":
-            given.setdefault(p.given, []).append(p.name)
+            given.setdefault(f"{p.given},", []).append(p.name)
     if len(given) > _GIVEN:
         given = {"what the table names with each": [name for names in given.values() for name in names]}
     for what, names in given.items():
-        yield Statement("mixed", f"{numbers.some(names)}: determined by the logs if {what}, is right.")
+        yield Statement("mixed", f"{numbers.some(names)}: determined by the logs if {what} is right.")
     for verdict, tone in _TONES.items():
         names = [p.name for p in parameters if p.verdict == verdict]
         if names:

@@ -43,8 +43,8 @@ def view(sections: Sequence[Section], title: str) -> SavedView:
 
 def html_table(table: Table) -> Markup:
     """A table that takes the colours of the text around it, for notebooks."""
-    line = "border:0;border-bottom:1px solid rgba(128,128,128,.3);padding:4px 12px 4px 0;background:none"
-    line += ";white-space:nowrap"
+    line = "border:0;border-bottom:1px solid rgba(128,128,128,.3);padding:4px 12px 4px 0;background:none;"
+    line += "white-space:nowrap"
 
     def row(cells: Sequence[str], name: str) -> Markup:
         sides = ("right" if "number" in look else "left" for look in table.looks)

@@ -100,9 +100,8 @@ def bounded(
         scale = floor[rows]
         block = covariance[np.ix_(rows, rows)] / np.outer(scale, scale)
         values, vectors = np.linalg.eigh(block)
-        part = (
-            scale[:, None] * vectors * np.sqrt(np.maximum(values, 1.0))
-        )  # in units of the floor, which is 1
+        # in units of the floor, which is 1
+        part = scale[:, None] * vectors * np.sqrt(np.maximum(values, 1.0))
         shape[np.ix_(rows, rows)] = part * np.minimum(1.0, WIDEST / np.linalg.norm(part, axis=0))
     return shape
 

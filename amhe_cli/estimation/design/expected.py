@@ -28,10 +28,13 @@ from amhe_cli.estimation.uncertainty.ledger import Ledger
 from amhe_cli.estimation.uncertainty.verdicts import Evidence, verdicts
 from amhe_cli.system.system import System
 
-#: Clips that are looked at, of many at least so many that one linearisation takes this many steps; and
-#: iterations of the search that lead near the estimate. Numbers of the model that are no parameters act
-#: otherwise in each clip: of eight, their share of an error scattered by half.
-CLIPS, FEWEST, STEPS, ITERATIONS = 12, 6, 200_000, 6
+#: Clips that are looked at. Numbers of the model that are no parameters act otherwise in each clip: of eight,
+#: their share of an error scattered by half.
+CLIPS = 12
+#: Fewer, but never below this, where one linearisation would take more steps of the simulation than that.
+FEWEST, STEPS = 6, 200_000
+#: Iterations of the search that lead near the estimate.
+ITERATIONS = 6
 #: Linearisations of all clips that an identification takes, half of them its search: those of the examples.
 _LINEARISATIONS = 17.0
 

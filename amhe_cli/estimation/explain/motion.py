@@ -117,9 +117,8 @@ def motion_in(
             rows = np.arange(len(measured.rows))[whole]
             found.append((measured, rows[measured.stretch[rows] == number], driven, part.log))
         known &= measured.sd[0] > 0.0
-        bands.append(
-            np.where(measured.band > 0.0, measured.band, 0.5 / measured.step)
-        )  # what stands has none
+        # what stands has none
+        bands.append(np.where(measured.band > 0.0, measured.band, 0.5 / measured.step))
     if not found:
         return None
     dofs = tuple(map(int, np.flatnonzero(known)))

@@ -286,7 +286,7 @@ def predictions(run: Replay) -> list[Prediction | None]:
     rows = [i for i, window in enumerate(run.windows) if usable(system, window)]
     for start in range(0, len(rows), _AT_ONCE):
         some = rows[start : start + _AT_ONCE]
-        ends = _ends(system, run.engine, [run.windows[i] for i in some], theta[some], newest)
+        ends = _ends(system, run.engine, [run.steps[i] for i in some], theta[some], newest)
         for i, end in zip(some, ends, strict=True):
             shown[i] = end
     return shown
@@ -294,7 +294,7 @@ def predictions(run: Replay) -> list[Prediction | None]:
 
 def _efforts(run: Replay, i: int, newest: int) -> Prediction | None:
     """Efforts along the newest part of a window's motion; NaN of joints that were not compared."""
-    window, system = run.windows[i], run.system
+    window, system = run.steps[i], run.system
     if (cost := cost_of(system, window, run.engine)) is None:
         return None
     (alone,), observed = cost.clips.windows, cost.clips.observed
@@ -366,7 +366,7 @@ def replay_fits(run: Replay) -> tuple[Fit, ...]:
 
 
 def _fits(run: Replay, i: int) -> Iterator[Fit]:
-    window, estimate, system = run.windows[i], run.estimates[i], run.system
+    window, estimate, system = run.steps[i], run.estimates[i], run.system
     cost = cost_of(system, window, run.engine)
     assert cost is not None, "the window was used"
     predicted = cost.predict(np.stack((run.start.z, system.space.z_of(estimate.theta))))

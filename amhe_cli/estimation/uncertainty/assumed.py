@@ -62,10 +62,9 @@ def assumed(fit: FinalFit) -> tuple[Term, tuple[str, ...]]:
         exact.append("time_step")
     changes = list(_changes(fit))
     values = [v for v in values if v.sd > 0.0]
-    moves = (
-        changes if problem.non_smooth else []
-    )  # of jitter no regression says anything: the whole move counts
-    term = _regressed(fit, [] if problem.non_smooth else changes, values)
+    # of jitter no regression says anything: the whole move counts
+    moves, known = (changes, []) if problem.non_smooth else ([], changes)
+    term = _regressed(fit, known, values)
     errors = np.concatenate((*(change.error[:, None] for change in moves), term.errors), axis=1)
     sources = (*(change.source for change in moves), *term.sources)
     return replace(term, errors=errors, sources=sources), tuple(dict.fromkeys(exact))

@@ -142,13 +142,10 @@ def clip_errors(cost: MatchingCost, z: FloatArray) -> Iterator[ClipErrors]:
 def _columns(cost: MatchingCost, observed: Observed) -> Iterator[tuple[str, str, list[int]]]:
     """Name, unit and residuals of each joint; of a pose all together."""
     channel, width = observed.channel, observed.width
-    if channel.kind == "rotation" or (channel.unit == "m" and width == 3):
+    if channel.kind == "rotation" or channel.part is not None or (channel.unit == "m" and width == 3):
         yield "", channel.unit, list(range(width))
         return
     names = cost.clips.windows[0].log[channel.series].columns
-    if channel.part is not None:
-        yield "", channel.unit, [0]
-        return
     if channel.source != "qpos":
         for i, name in enumerate(names):
             yield (str(name) if width > 1 else ""), channel.unit, [i]
@@ -237,8 +234,8 @@ def at_horizon(
 
 def best_of(horizons: Sequence[AtHorizon]) -> int:
     """The system whose errors are smallest, in the mean of their logarithms over the horizons."""
-    few = [at for at in horizons if at.clips]
-    telling = [at for at in few if at.clips >= FEWEST] or few or list(horizons)
+    scored = [at for at in horizons if at.clips]
+    telling = [at for at in scored if at.clips >= FEWEST] or scored or list(horizons)
     return int(np.mean([np.log(at.ratios).mean(axis=1) for at in telling], axis=0).argmin())
 
 
