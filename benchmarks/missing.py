@@ -383,10 +383,15 @@ def _described(robot: Robot, xml: str) -> dict[str, Any]:
     return {"parameters": parameters, "signals": signals, "settings": settings}
 
 
-def named(found: Missing, faults: Sequence[str], fault: str, place: str, first: bool) -> bool:
+def kinds_of(robot: Robot, faults: Sequence[str], places: Sequence[str]) -> list[set[str]]:
+    """What a row may call each fault; several forces on one joint are one force."""
+    own = [set(FAULTS[fault][1]) for fault in faults]
+    joints = {robot.joints[-1] if place == "idle" else place for place in places}
+    return len(own) * [set().union(*own)] if len(joints) == 1 and {*faults} <= ONE else own
+
+
+def named(found: Missing, kinds: set[str], place: str, first: bool) -> bool:
     """Whether the first row, or any, names a fault at its place."""
-    one = len(faults) > 1 and {*faults} <= ONE
-    kinds = [kind for each in (faults if one else [fault]) for kind in FAULTS[each][1]]
     rows = found.rows[:1] if first else found.rows
     return any(
         row.kind in kinds and (any(one in row.place for one in place.split(", ")) or "motor" in row.place)
@@ -421,11 +426,12 @@ def trial(number: int) -> dict[str, Any]:
             found = explain(system, [whole(log)], z, np.random.default_rng(seed))
     else:
         found = explain(system, [whole(log)], z, np.random.default_rng(seed))
+    told = kinds_of(ROBOTS[robot], faults, places)
     return {
         "robot": robot, "faults": faults, "places": places, "reach": reach,
         "cpu_seconds": time.process_time() - began,
-        "first": [named(found, faults, f, p, True) for f, p in zip(faults, places, strict=True)],
-        "any": [named(found, faults, f, p, False) for f, p in zip(faults, places, strict=True)],
+        "first": [named(found, kinds, p, True) for kinds, p in zip(told, places, strict=True)],
+        "any": [named(found, kinds, p, False) for kinds, p in zip(told, places, strict=True)],
         "rows": [f"{row.kind} {row.place} {row.share:.0%}" for row in found.rows],
         "texts": [row.text for row in found.rows], "rivals": [row.rivals for row in found.rows],
         "start": found.start, "left": found.left, "untested": found.untested,
