@@ -26,7 +26,6 @@ from amhe_cli.system.export.mjcf import identified_assets, identified_xml, with_
 from amhe_cli.system.export.urdf import identified_urdf
 from amhe_cli.system.model.urdf import is_urdf
 from amhe_cli.system.provenance import provenance
-from amhe_cli.system.system import System
 
 #: Colour of each verdict.
 STYLES = {"contradicted": "red", "agrees": "green", "cannot tell": "dim"}
@@ -119,8 +118,9 @@ def write_audit(
         corrected = found.with_only([line.parameter for line in taken])
         claims = {claim.parameter: claim for claim in found.claims}
         theta = np.array([line.log / claims[line.parameter].factor for line in taken])
-        order = [[line.parameter for line in taken].index(name) for name in corrected.space.names]
-        text = _text(corrected, theta[order], model)
+        theta = theta[[[line.parameter for line in taken].index(name) for name in corrected.space.names]]
+        whole = is_urdf(model)
+        text = identified_urdf(corrected, theta, model) if whole else identified_xml(corrected, theta)
         comments: dict[tuple[str, str], list[str]] = {}
         for line in taken:
             was = f"{line.what} {line.file:.4g} -> {_said(line)}"
@@ -128,14 +128,10 @@ def write_audit(
                 f"{was}, by amhe audit of {names}"
             )
         (scratch / f"robot.audited{model.suffix}").write_text(with_comments(text, comments), encoding="utf-8")
-        for name, source in ({} if is_urdf(model) else identified_assets(corrected)).items():
+        for name, source in ({} if whole else identified_assets(corrected)).items():
             if source.is_file():
                 (scratch / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(source, scratch / name)
-
-
-def _text(system: System, theta: np.ndarray, model: Path) -> str:
-    return identified_urdf(system, theta, model) if is_urdf(model) else identified_xml(system, theta)
 
 
 def _taken(lines: Sequence[Line], chosen: Sequence[str]) -> list[Line]:

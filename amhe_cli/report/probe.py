@@ -79,12 +79,8 @@ def known_table(known: Mapping[str, Any], columns: Mapping[str, str]) -> Table:
         known: `parameters` of plan.json or result.json.
         columns: Key of each sd, without '_sd' -> heading.
     """
-    rows = [(row["name"], *_sds(row, columns)) for row in known["parameters"]]
+    rows = [(row["name"], *(sd_text(row, key) for key in columns)) for row in known["parameters"]]
     return Table(("parameter", *columns.values()), ("name", *(NUMBER for _ in columns)), rows)
-
-
-def _sds(row: Mapping[str, Any], columns: Mapping[str, str]) -> list[str]:
-    return [sd_text(row, key) for key in columns]
 
 
 def sd_text(row: Mapping[str, Any], key: str) -> str:

@@ -190,7 +190,8 @@ def viewing(
     values = list(candidates.values())
     recordings, takes, read = [], [], []
     for number, log in enumerate(logs):
-        measured = MeasuredLog(scene, log, _at(values[-1], log.duration))
+        end = values[-1](log.duration) if callable(values[-1]) else values[-1]
+        measured = MeasuredLog(scene, log, end)
         read.append(measured)
         recordings.append(Recording(Path(log.source).name, measured.track(coarse), measured.gaps))
         own = [(w, held) for w, held in kept if w.log is log]
@@ -336,11 +337,6 @@ class _Rollout:
         poses = scene.poses(states["qpos"], driven if system.model.nmocap else None)
         forces = None if model is None else scene.forces(model, states["qpos"], states["qvel"], driven)
         return Track(own.step, poses, values, forces)
-
-
-def _at(candidate: Candidate, time: float) -> FloatArray:
-    """The values of a candidate at a time [s]."""
-    return candidate(time) if callable(candidate) else candidate
 
 
 def _predicted(
