@@ -269,10 +269,8 @@ def improves(horizons: Sequence[AtHorizon], one: int, other: int) -> bool:
     telling = [at for at in horizons if at.clips >= FEWEST and np.isfinite(at.upper[one, other])]
     if not telling or any(at.better(other, one) for at in horizons):
         return False
-    logs, upper = (np.log([each[one, other] for each in arrays]) for arrays in (
-        [at.ratios for at in telling], [at.upper for at in telling]
-    ))  # fmt: skip
-    width = np.maximum(upper - logs, 1e-12)
+    ratio, upper = np.log([(at.ratios[one, other], at.upper[one, other]) for at in telling]).T
+    width = np.maximum(upper - ratio, 1e-12)
     return bool((upper / width**2).sum() < 0.0)
 
 
@@ -281,20 +279,21 @@ def verdict(horizons: Sequence[AtHorizon], names: Sequence[str], best: int, othe
     one, two = names[best], names[other]
     wins = [at for at in horizons if at.better(best, other)]
     losses = [at for at in horizons if at.better(other, best)]
+
+    def times(some: Sequence[AtHorizon]) -> str:
+        return _listed([f"{at.horizon:.3g} s" for at in some])
+
+    def smaller(some: Sequence[AtHorizon], i: int, j: int) -> str:
+        sizes = _listed([f"{1.0 - at.ratios[i, j]:.0%} after {at.horizon:.3g} s" for at in some])
+        return f"{names[i]} predicts better than {names[j]}: its error is smaller by {sizes}"
+
     if improves(horizons, best, other):
-        telling = wins or [at for at in horizons if at.clips >= FEWEST]
-        sizes = _listed([f"{1.0 - at.ratios[best, other]:.0%} after {at.horizon:.3g} s" for at in telling])
-        return f"{one} predicts better than {two}: its error is smaller by {sizes}"
-    if wins and not losses:
-        times = _listed([f"{at.horizon:.3g} s" for at in wins])
-        return f"{one} predicts better than {two} after {times}, but not over all horizons together"
+        return smaller(wins or [at for at in horizons if at.clips >= FEWEST], best, other)
     if wins:
-        times = _listed([f"{at.horizon:.3g} s" for at in wins])
-        worse = _listed([f"{at.horizon:.3g} s" for at in losses])
-        return f"{one} predicts better than {two} after {times}, and worse after {worse}"
+        but = f"and worse after {times(losses)}" if losses else "but not over all horizons together"
+        return f"{one} predicts better than {two} after {times(wins)}, {but}"
     if losses:
-        sizes = _listed([f"{1.0 - at.ratios[other, best]:.0%} after {at.horizon:.3g} s" for at in losses])
-        return f"{two} predicts better than {one}: its error is smaller by {sizes}"
+        return smaller(losses, other, best)
     if all(at.clips < FEWEST for at in horizons):
         return f"the logs cannot tell {one} from {two}: fewer than {FEWEST} clips were held out"
     return f"the logs cannot tell {one} from {two}: their errors differ by no more than chance"
