@@ -78,11 +78,9 @@ T = TypeVar("T")
 START = 2.0
 #: Calls like the first large one that a command is expected to make.
 FOLLOWING = 10
-
-
 #: The longest that a thread which opens the cards has Python's lock where another one waits for it [s]; of
 #: Python's own 5 ms, rollouts on the CPU, which give the lock back and forth, would take twice as long.
-BRIEF = 2e-4
+BRIEF, USUAL = 2e-4, sys.getswitchinterval()
 
 
 def in_background(work: Callable[[], T]) -> Future[T]:
@@ -90,14 +88,13 @@ def in_background(work: Callable[[], T]) -> Future[T]:
     future: Future[T] = Future()
 
     def fill() -> None:
-        usual = sys.getswitchinterval()
         sys.setswitchinterval(BRIEF)
         try:
             future.set_result(work())
         except BaseException as error:
             future.set_exception(error)
         finally:
-            sys.setswitchinterval(usual)
+            sys.setswitchinterval(USUAL)
 
     threading.Thread(target=fill, daemon=True).start()
     return future

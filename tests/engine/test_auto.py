@@ -156,6 +156,19 @@ def test_rollouts_do_not_wait_for_the_thread_that_opens_the_cards() -> None:
         sleep(0.001)
 
 
+def test_two_engines_that_open_at_a_time_leave_the_lock_as_it_was() -> None:
+    usual, begun, end = sys.getswitchinterval(), (Event(), Event()), (Event(), Event())
+    futures = []
+    for i in range(2):
+        futures.append(in_background(lambda i=i: (begun[i].set(), end[i].wait())))
+        begun[i].wait()
+    for i in range(2):
+        end[i].set()
+        futures[i].result()
+        sleep(0.05)  # what a thread does after its result
+    assert sys.getswitchinterval() == usual
+
+
 def test_variants_of_a_model_share_the_cards(cards) -> None:
     engine = auto()
     variant = engine.upon(PENDULUM.model)
