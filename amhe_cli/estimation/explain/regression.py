@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -270,6 +270,7 @@ class _Candidates:
         x: _Beside,
         signs: FloatArray | None = None,
         left: tuple[FloatArray, FloatArray] | None = None,
+        only: int | None = None,
     ) -> FloatArray:
         """By how much candidates beside x lower the squares of blocks that were not fitted.
 
@@ -277,6 +278,7 @@ class _Candidates:
             x: What they stand beside.
             signs: Signs of the blocks, shape (s, blocks); None: as they are.
             left: Products of another residual with all candidates, (blocks, M), and with x, (blocks, q).
+            only: The candidate that is asked for; 0 of all others.
 
         Returns:
             Shape (candidates, blocks); with signs (candidates, s), summed over the blocks.
@@ -287,12 +289,14 @@ class _Candidates:
         pull = x.pull * real
         inverses = [np.linalg.inv(x.xx[~held].sum(axis=0) + np.diag(x.precision)) for held in self.folds]
         found = np.zeros((len(self.values), blocks if real else len(signs)))
-        for some, own in zip(self.alike, self.own, strict=True):
+        groups = list(zip(self.alike, self.own, strict=True))
+        if only is not None:
+            groups = [(some[some == only], own[:, some == only]) for some, own in groups if only in some]
+        for some, own in groups:
             columns = np.array([self.columns[i] for i in some])  # (N, m)
             cx, c = x.cx[:, columns], ce[:, columns]  # (blocks, N, m, q), (blocks, N, m)
-            ridge = (
-                _TINY * np.maximum(np.einsum("bnii->n", own), 1e-30)[:, None, None] * np.eye(columns.shape[1])
-            )
+            squares = np.maximum(np.einsum("bnii->n", own), 1e-30)
+            ridge = _TINY * squares[:, None, None] * np.eye(columns.shape[1])
             for held, inverse in zip(self.folds, inverses, strict=True):
                 fit = cx[~held].sum(axis=0)
                 t = fit @ inverse  # (N, m, q)
@@ -310,9 +314,8 @@ class _Candidates:
                 cross = pcx @ t.swapaxes(1, 2)
                 matrix = pcc - cross - cross.swapaxes(2, 3) + turned @ t.swapaxes(1, 2)
                 fall = ((2.0 * right - matrix @ coefficients) * coefficients).sum(axis=2)  # (p, N, s)
-                found[np.ix_(some, np.flatnonzero(held)) if real else some] += (
-                    fall[..., 0].T if real else fall[0]
-                )
+                place = np.ix_(some, np.flatnonzero(held)) if real else some
+                found[place] += fall[..., 0].T if real else fall[0]
         return found
 
 
@@ -334,8 +337,8 @@ class _Search:
         wrong: Callable[[], FloatArray],
     ) -> None:
         self.made, self._candidates, self._signs, self._asked = made, candidates, signs, wrong
-        self._known: dict[tuple[int, ...], tuple[int, float, list[int]]] = {}
-        self._fallen: dict[tuple[int, ...], FloatArray] = {}
+        self._falls = cache(lambda some: made.falls(made.beside(some)))
+        self._best = cache(self._next)
 
     @cached_property
     def _least(self) -> FloatArray:
@@ -353,17 +356,14 @@ class _Search:
 
     def falls(self, chosen: Sequence[int]) -> FloatArray:
         """By how much candidates beside some lower the squares of each block, shape (candidates, blocks)."""
-        key = tuple(sorted(chosen))
-        if key not in self._fallen:
-            self._fallen[key] = self.made.falls(self.made.beside(key))
-        return self._fallen[key]
+        return self._falls(tuple(sorted(chosen)))
 
-    def chance(self, chosen: Sequence[int], index: int) -> FloatArray:
+    def chance(self, chosen: Sequence[int], index: int, only: int | None = None) -> FloatArray:
         """What candidates take away of what some and one more leave, under random signs, (candidates, s)."""
         x, both = self.made.beside(chosen), self.made.beside([*chosen, index])
         fit, q = both.fitted[0], x.xe.shape[1]
         left = self.made.ce - both.cx @ fit, x.xe - both.xx[:, :q] @ fit
-        return self.made.falls(x, self._signs, left)
+        return self.made.falls(x, self._signs, left, only)
 
     def found(self) -> list[int]:
         """The simplest of the sets that explain as much as the best, what the others need most first."""
@@ -421,10 +421,7 @@ class _Search:
 
         The simplest of these is first; there are none where the best explains no more than chance.
         """
-        key = tuple(sorted(chosen))
-        if key not in self._known:
-            self._known[key] = self._next(key)
-        return self._known[key]
+        return self._best(tuple(sorted(chosen)))
 
     def _next(self, chosen: tuple[int, ...]) -> tuple[int, float, list[int]]:
         falls = self.falls(chosen)
@@ -477,5 +474,5 @@ class _Search:
 
     def _more(self, index: int, rest: Sequence[int]) -> float:
         """By how much a candidate explains more beside others than chance and the method's own error."""
-        chance = np.quantile(self.chance(rest, index)[index], 1.0 - LEVEL)
+        chance = np.quantile(self.chance(rest, index, only=index)[index], 1.0 - LEVEL)
         return float(self.falls(rest)[index].sum() - max(chance, self._least[index]))
