@@ -83,7 +83,10 @@ def body_numbers(
                     bounds=(0.0 if label == "mass" else -np.inf, np.inf),
                     shrinkage=1.0 - float(known.sd[0]) if before else 0.0,
                     verdict=verdict,
-                    reasons=tuple(Reason("misfit", (line,), 1.0, text) for text in misfit),
+                    reasons=(
+                        *(Reason("misfit", (line,), 1.0, text) for text in misfit),
+                        *([Reason("prior", (line,), 1.0, f"given {given}")] if given else []),
+                    ),
                     budget=known.budget(0),
                     given=given,
                 )

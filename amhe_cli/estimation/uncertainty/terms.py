@@ -7,6 +7,7 @@ priors that are no better than their sd.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -34,11 +35,17 @@ def prior(fit: FinalFit) -> Term:
     space, precision = fit.space, fit.space.prior_precision
     if space.prior_systematic is not None:
         precision = positive(precision - precision @ np.array(space.prior_systematic) @ precision)
-    sources = (
-        Source(f"your prior of {p.name}", f"{p.nominal:.4g}", *_width(p), parameter=p.name)
-        for p in space.parameters
-    )
-    return Term("prior", fit.posterior.inverse @ root(precision), tuple(sources))
+    bodies = fit.problem.system.edits.bodies
+    sources = tuple(_prior_of(p, p.name.rpartition(".")[0], bodies) for p in space.parameters)
+    return Term("prior", fit.posterior.inverse @ root(precision), sources)
+
+
+def _prior_of(parameter: Parameter, body: str, bodies: Collection[str]) -> Source:
+    """A parameter's prior; a coordinate of an inertia says nothing to people, its body does."""
+    if body in bodies:
+        return Source(f"your prior of {body}", parameter=parameter.name)
+    value = f"{parameter.nominal:.4g}"
+    return Source(f"your prior of {parameter.name}", value, *_width(parameter), parameter=parameter.name)
 
 
 def _width(parameter: Parameter) -> tuple[float, str]:

@@ -21,7 +21,7 @@ from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.uncertainty.derived import body_numbers
-from amhe_cli.estimation.uncertainty.ledger import Ledger, term_of
+from amhe_cli.estimation.uncertainty.ledger import Ledger, Source, Term, term_of
 from amhe_cli.report.identification import identification_record, parameter_table
 from amhe_cli.system.system import System
 from tests.estimation.conftest import CHEAP
@@ -107,6 +107,11 @@ def test_numbers_of_a_body_have_verdicts_as_parameters_have() -> None:
     found = {b.name: b for b in body_numbers(made, np.zeros(10), noise(known), rng, ())}
     assert found["link.mass"].verdict == "identified" and found["link.mass"].budget == {"noise": 1.0}
     assert found["link.com_x"].verdict == "prior" and found["link.com_x"].shrinkage == pytest.approx(0.0)
+    other = Term("prior", np.eye(10)[:, :1] * 0.3, (Source("your prior of x", parameter="x"),))
+    owing = Ledger((*noise(known).terms, other))
+    mass = next(b for b in body_numbers(made, np.zeros(10), owing, rng, ()) if b.name == "link.mass")
+    assert (mass.verdict, mass.given) == ("conditional", "your prior of x")
+    assert [reason.text for reason in mass.reasons] == ["given your prior of x"]
     missed = {b.name: b for b in body_numbers(made, np.zeros(10), noise(known), rng, ("it misses",))}
     assert missed["link.mass"].verdict == "model-sensitive"
     assert [reason.text for reason in missed["link.mass"].reasons] == ["it misses"]

@@ -112,7 +112,8 @@ def test_noise_and_priors_are_all_of_a_linear_problem() -> None:
     """H^-1 (B + P) H^-1; each prior has its own error, exactly, whatever is known together."""
     together = ((1.0, 0.6, 0.0), (0.6, 1.0, 0.0), (0.0, 0.0, 1.0))
     space = ParameterSpace(SPACE.parameters, together)
-    fit = fit_of(RNG.standard_normal((6, 3, 10)) * [[1.0], [1.0], [0.0]], space)
+    problem = SimpleNamespace(system=SimpleNamespace(edits=SimpleNamespace(bodies={})))
+    fit = fit_of(RNG.standard_normal((6, 3, 10)) * [[1.0], [1.0], [0.0]], space, problem=problem)
     both = Ledger((terms.noise(fit), terms.prior(fit)))
     np.testing.assert_allclose(both.covariance, fit.posterior.covariance, atol=1e-12)
     assert both.sd[2] == pytest.approx(1.0) and both.budget(2) == pytest.approx({"prior": 1.0})
