@@ -33,6 +33,8 @@ _TURN = 0.01
 #: Share of its rms speed below which a joint is slow: dry friction sets in gradually, of every joint in
 #: another way (of published arms over 0.1 to 0.4 rad/s).
 _SLOW = 0.1
+#: A joint rests at speeds up to so many sd of their errors.
+_RESTS = 3.0
 #: Dry friction counts as known where this share of it acts, and it is known when.
 _ACTS, _KNOWN = 0.9, 0.1
 #: Noise that an effort has at least, as a share of its range.
@@ -104,7 +106,10 @@ def _path(key: _Key, log: Log) -> EffortPath:
             found.append(lowpassed(sign, places, step))
     rows, dry, other = np.concatenate(at), np.concatenate(now), np.concatenate(later)
     rubs = (model.dof_frictionloss > 0.0) | ("dof_frictionloss" in system.edits.fields)
-    slow = np.abs(motion.qvel[rows]) < _SLOW * np.sqrt((motion.qvel**2).mean(axis=0))
+    speed = np.abs(motion.qvel)
+    moves = speed > _RESTS * sd
+    usual = np.sqrt((speed**2 * moves).sum(axis=0) / np.maximum(moves.sum(axis=0), 1))
+    slow = speed[rows] < _SLOW * usual
     known = (np.abs(dry) > _ACTS) & (np.abs(dry - other) < _KNOWN) & ~slow | ~rubs
     variance = effort_variance(model, motion.qpos[rows], motion.qvel[rows], motion.qacc[rows], motion.sd)
     every = step * round(motion.step / log.dt)
