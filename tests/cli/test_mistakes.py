@@ -86,7 +86,7 @@ ROBOT = [
 ]
 EVAL = [
     ("--ablate sampels=8,16", "no parameter 'sampels' (did you mean 'samples'?); there is: "),
-    ("--ablate control.sampels=8", "no key 'sampels' (did you mean 'samples'?); there is: draws, elites"),
+    ("--ablate control.sampels=8", "no key 'sampels' (did you mean 'samples'?); there is: elites"),
     ("--ablate samples", "write KEY=VALUE,VALUE"),
     ("--ablate samples=many", "samples is 'many'"),
     ("--tasks t9", "no task 't9'"),
