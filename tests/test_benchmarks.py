@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
@@ -12,15 +13,17 @@ import numpy as np
 import pytest
 
 
+def script(monkeypatch: pytest.MonkeyPatch, name: str) -> Iterator[ModuleType]:
+    """A benchmark as a module; it disables warnings, which other tests need."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parent.parent / "benchmarks"))
+    monkeypatch.delitem(sys.modules, name, raising=False)
+    yield import_module(name)
+    logging.disable(logging.NOTSET)
+
+
 @pytest.fixture
 def gear(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
-    """The script as a module; it disables warnings, which other tests need."""
-    monkeypatch.syspath_prepend(str(Path(__file__).parent.parent / "benchmarks"))
-    monkeypatch.delitem(sys.modules, "gear", raising=False)
-    import gear  # pyright: ignore[reportMissingImports]
-
-    yield gear
-    logging.disable(logging.NOTSET)
+    yield from script(monkeypatch, "gear")
 
 
 @pytest.mark.medium
@@ -39,13 +42,7 @@ def test_what_constant_friction_leaves_open_is_in_the_interval_and_named(gear: M
 
 @pytest.fixture
 def honesty(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
-    """The script as a module; it disables warnings, which other tests need."""
-    monkeypatch.syspath_prepend(str(Path(__file__).parent.parent / "benchmarks"))
-    monkeypatch.delitem(sys.modules, "honesty", raising=False)
-    import honesty  # pyright: ignore[reportMissingImports]
-
-    yield honesty
-    logging.disable(logging.NOTSET)
+    yield from script(monkeypatch, "honesty")
 
 
 @pytest.mark.medium

@@ -23,7 +23,7 @@ from amhe_cli.estimation.offline.search import SETTLED, SearchState, restart
 from amhe_cli.estimation.offline.watch import Watch
 from amhe_cli.estimation.uncertainty import terms
 from amhe_cli.estimation.uncertainty.assumed import assumed
-from amhe_cli.estimation.uncertainty.derived import body_numbers, combinations, told
+from amhe_cli.estimation.uncertainty.derived import body_numbers, combinations, summary_of_efforts
 from amhe_cli.estimation.uncertainty.fit import (
     PROFILED,
     TURNS,
@@ -152,7 +152,7 @@ def conclude(search: Search, *, quick: bool = False) -> Identification:
         logs=tuple(dict.fromkeys(part.log.source for part in problem.pool.parts)),
         runs=estimates(fit),
         missing=missing,
-        determined=told(fit, ledger.covariance, held_out) if effort else (),
+        determined=summary_of_efforts(fit, ledger.covariance, held_out) if effort else (),
         information=fit.posterior.hessian - fit.posterior.prior,
     )
 

@@ -123,7 +123,7 @@ def _desk_at(address: str) -> _Desk:
 
 
 @dataclass(frozen=True, eq=False)
-class _Asked:
+class _Request:
     """A question that waits for its answer: to begin with a blueprint, which is packed, or to run a job."""
 
     name: str
@@ -140,7 +140,7 @@ class _Desk:
     """Where questions wait for a card that is free."""
 
     def __init__(self) -> None:
-        self._waiting: list[_Asked] = []
+        self._waiting: list[_Request] = []
         self._change = Condition()
         self._packed: dict[str, bytes] = {}
 
@@ -153,21 +153,21 @@ class _Desk:
 
     def ask(self, name: str, about: bytes | Job) -> Any:
         """The answer to a question, as soon as a card has it."""
-        asked = _Asked(name, about)
+        request = _Request(name, about)
         with self._change:
             if isinstance(about, bytes):
                 self._packed[name] = about
-            self._waiting.append(asked)
+            self._waiting.append(request)
             self._change.notify()
-        return asked.answer.result()
+        return request.answer.result()
 
     def _work(self, new: Callable[..., Card], device: str) -> None:
         """Answer questions with one card, as long as the process lives."""
         cards: dict[str, Card] = {}
         while True:
             together = self._next()
-            for some in (together, *([asked] for asked in together)):
-                left = [asked for asked in some if not asked.answer.done()]
+            for some in (together, *([request] for request in together)):
+                left = [request for request in some if not request.answer.done()]
                 if not left:
                     continue
                 try:
@@ -183,16 +183,16 @@ class _Desk:
                     if len(left) == 1:
                         left[0].answer.set_exception(error)
                 except Exception as error:
-                    for asked in left:
-                        asked.answer.set_exception(error)
+                    for request in left:
+                        request.answer.set_exception(error)
 
-    def _next(self) -> list[_Asked]:
+    def _next(self) -> list[_Request]:
         """The oldest question, and those that can be answered with it."""
         with self._change:
             self._change.wait_for(lambda: bool(self._waiting))
             kind = self._waiting[0].kind
-            some = [asked for asked in self._waiting if asked.kind == kind]
-            self._waiting = [asked for asked in self._waiting if asked.kind != kind]
+            some = [request for request in self._waiting if request.kind == kind]
+            self._waiting = [request for request in self._waiting if request.kind != kind]
         return some
 
 
@@ -210,28 +210,28 @@ class _Manager(BaseManager):
 _Manager.register("desk", _desk, exposed=("open", "ask"))
 
 
-def _answer(some: Sequence[_Asked], card: Card) -> None:
+def _answer(some: Sequence[_Request], card: Card) -> None:
     """Answer questions of one kind: jobs with as few runs of a card's worlds as it has room for."""
-    asked = [(one, one.about) for one in some if isinstance(one.about, Job)]
-    if not asked:
+    jobs = [(one, one.about) for one in some if isinstance(one.about, Job)]
+    if not jobs:
         some[0].answer.set_result(None)
         return
-    wanted = zip(*(job.wanted for _, job in asked), strict=True)
+    wanted = zip(*(job.wanted for _, job in jobs), strict=True)
     record = sum(8 * max(one.rows.shape[1] for one in each) * len(each[0].columns) for each in wanted)
-    most, sizes = card.at_once(record), np.cumsum([len(job.clip) for _, job in asked])
+    most, sizes = card.at_once(record), np.cumsum([len(job.clip) for _, job in jobs])
     for number in np.unique(sizes // most):
-        _run([asked[i] for i in np.flatnonzero(sizes // most == number)], card)
+        _run([jobs[i] for i in np.flatnonzero(sizes // most == number)], card)
 
 
-def _run(part: Sequence[tuple[_Asked, Job]], card: Card) -> None:
+def _run(part: Sequence[tuple[_Request, Job]], card: Card) -> None:
     """Answer jobs with one run of a card's worlds; numbers go in single precision, as they are."""
     done, at = card.run(joined([job for _, job in part])), 0
     single = [_single(each) for each in done.values]
-    for asked, job in part:
+    for request, job in part:
         rows, at = slice(at, at + len(job.clip)), at + len(job.clip)
         pairs = zip(single, job.wanted, strict=True)
         values = [to_host(each[rows, : wanted.rows.shape[1]]) for each, wanted in pairs]
-        asked.answer.set_result((done.completed[rows], values))
+        request.answer.set_result((done.completed[rows], values))
 
 
 def _single(values: AnyArray) -> AnyArray:

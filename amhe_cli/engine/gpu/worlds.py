@@ -58,7 +58,7 @@ def load_together(device: Any, launches: Callable[[], object]) -> None:
 
     Warp loads a module when a kernel of it is first launched, one after the other, which takes a minute where
     all must be compiled. So the launches are made once without effect, to see what they need: warp launches
-    nothing from a module that it could not load. What is missed here, or fails, is loaded at its launch.
+    nothing from a module that it could not load. What this leaves out, or cannot load, loads at its launch.
     """
     kind: Any = type(wp.get_module(__name__))
     load, needed = kind.load, {}

@@ -147,15 +147,15 @@ def information(
     first = fitted(slopes.residual, (1.0,) * len(cost.clips.observed))
     times = channel_times(cost, first.residual, slopes.completed)
     times = tuple(1.0 + repeats * (time - 1.0) for time in times)
-    told = fitted(first.residual, times)
+    known = fitted(first.residual, times)
     if straight:  # it shapes samples, and is no posterior
-        return told
-    bent = told.weight * _bent(cost, first.residual)
+        return known
+    bent = known.weight * _bent(cost, first.residual)
     each = _of_residuals(cost, times)
-    arrays = gz, gx, bent, told.weight * told.residual * np.sqrt(each)
+    arrays = gz, gx, bent, known.weight * known.residual * np.sqrt(each)
     both = [_sandwich(*(array[clips] for array in arrays)) for clips in some]
     curvature, scatter = map(np.concatenate, zip(*both, strict=True))
-    return replace(told, curvature=curvature, scatter=scatter)
+    return replace(known, curvature=curvature, scatter=scatter)
 
 
 def _sandwich(

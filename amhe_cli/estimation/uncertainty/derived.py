@@ -155,7 +155,7 @@ def _power(name: str, power: float) -> str:
     return name if abs(power - 1.0) < 0.05 else f"{name}^{power:.1f}"
 
 
-def told(fit: FinalFit, covariance: FloatArray, held_out: HeldOut | None) -> tuple[str, ...]:
+def summary_of_efforts(fit: FinalFit, covariance: FloatArray, held_out: HeldOut | None) -> tuple[str, ...]:
     """How many numbers the motion determines and how well it tells them apart; then a verdict on each joint.
 
     Where efforts are linear in the unknowns, those numbers are the base parameters (Gautier and Khalil 1990).
