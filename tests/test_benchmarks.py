@@ -84,14 +84,9 @@ def test_twins_and_wrong_plants_differ_in_what_the_model_lacks(honesty: ModuleTy
 
 @pytest.fixture
 def sbc(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
-    """The script as a module; it disables warnings, which other tests need."""
-    monkeypatch.syspath_prepend(str(Path(__file__).parent.parent / "benchmarks"))
-    monkeypatch.delitem(sys.modules, "sbc", raising=False)
-    import sbc  # pyright: ignore[reportMissingImports]
-
-    monkeypatch.setattr(sbc, "DRAWS", 2000)
-    yield sbc
-    logging.disable(logging.NOTSET)
+    for module in script(monkeypatch, "sbc"):
+        monkeypatch.setattr(module, "DRAWS", 2000)
+        yield module
 
 
 def inside(sbc: ModuleType, ranks: np.ndarray) -> np.ndarray:
