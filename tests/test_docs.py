@@ -39,8 +39,8 @@ def test_the_readme_is_short() -> None:
 
 
 def test_the_page_of_verdicts_gives_them_the_meanings_that_reports_give() -> None:
-    text = (ROOT / "docs" / "verdicts.md").read_text(encoding="utf-8").partition("| rule |")[0]
-    assert dict(re.findall(r"^\| `([\w-]+)` \| (.+) \|$", text, re.MULTILINE)) == VERDICTS
+    text = (ROOT / "docs" / "verdicts.md").read_text(encoding="utf-8")
+    assert dict(re.findall(r"^\| `([\w-]+)` \| ([^|]+) \|", text, re.MULTILINE)) == VERDICTS
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/ARCHITECTURE.md"])
