@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import functools
 import hashlib
 import json
@@ -239,6 +240,34 @@ def over_seeds(
             file.write(json.dumps(result) + "\n")
             file.flush()
     return [done[seed] for seed in wanted]
+
+
+def add_parts(parser: argparse.ArgumentParser) -> None:
+    """Options of a run in parts; see `in_parts`."""
+    parser.add_argument(
+        "--part", default="1/1", metavar="K/N", help="every Nth trial, from the Kth on; 0/1: none"
+    )
+    parser.add_argument("--add", type=Path, nargs="+", default=[], help="what runs of other parts printed")
+
+
+def in_parts(
+    name: str, one: Callable[[int], dict[str, Any]], seeds: Iterable[int], given: argparse.Namespace
+) -> list[dict[str, Any]]:
+    """Results of one part of `one(seed)`, each printed as it ends, and of the parts that `--add` names."""
+    first, every = map(int, given.part.split("/"))
+    lines = [line for path in given.add for line in path.read_text(encoding="utf-8").splitlines()]
+    known = [json.loads(line) for line in lines if line.startswith('{"seed"')]
+    ready = {found["seed"]: found for found in known}
+    wanted = list(seeds)
+    left = [seed for seed in wanted[first - 1 :: every] if first and seed not in ready]
+    done = over_seeds(name, functools.partial(_printed, one), left, given.jobs)
+    return [*(ready[seed] for seed in wanted if seed in ready), *done]
+
+
+def _printed(one: Callable[[int], dict[str, Any]], seed: int) -> dict[str, Any]:
+    found = {"seed": seed} | one(seed)
+    print(json.dumps(found), flush=True)
+    return found
 
 
 class _Seeded:

@@ -11,15 +11,13 @@ expected verdict right in 85 %. An sd counts on its parameter's own scale, in sd
 from __future__ import annotations
 
 import argparse
-import json
 import logging
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import over_seeds, seeds_of, show
+from common import add_parts, in_parts, seeds_of, show
 from honesty import KINDS, NAMES, case_of, place
 
 import amhe_cli as amhe
@@ -40,8 +38,7 @@ def trial(number: int) -> dict[str, Any]:
     hope = {p.name: p for p in expected(made.system, logs, seed=seed).parameters}
     looked = time.process_time() - began
     result = amhe.identify(made.system, logs, seed=seed, threads=1)
-    found = {
-        "number": number,
+    return {
         "problem": name,
         "kind": kind,
         "look": looked,
@@ -52,8 +49,6 @@ def trial(number: int) -> dict[str, Any]:
         "budgets": [(hope[p.name].budget, p.budget) for p in result.parameters.values()],
         "misfit": max(result.found.noise_scale.values(), default=0.0),
     }
-    print(json.dumps(found), flush=True)
-    return found
 
 
 def row(label: str, kind: str, trials: Sequence[dict[str, Any]]) -> tuple[str, ...]:
@@ -77,17 +72,11 @@ def main() -> None:
     parser.add_argument("--seeds", type=seeds_of, default=range(15), metavar="N or A:B")
     parser.add_argument("--problems", default=",".join(NAMES), help="names, with commas between")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
-    parser.add_argument("--part", default="1/1", metavar="K/N", help="every Nth fit, from the Kth on")
-    parser.add_argument("--add", type=Path, nargs="+", default=[], help="what runs of other parts printed")
+    add_parts(parser)
     given = parser.parse_args()
     problems = given.problems.split(",")
-    first, every = map(int, given.part.split("/"))
     numbers = [place(name, kind, seed) for seed in given.seeds for name in problems for kind in KINDS]
-    lines_of = [path.read_text(encoding="utf-8").splitlines() for path in given.add]
-    known = [json.loads(line) for each in lines_of for line in each if line.startswith('{"number"')]
-    ready = {one["number"]: one for one in known}
-    left = [number for number in numbers[first - 1 :: every] if number not in ready]
-    done = [*ready.values(), *over_seeds("expected", trial, left, given.jobs)]
+    done = in_parts("expected", trial, numbers, given)
     problems = [name for name in problems if any(t["problem"] == name for t in done)]
     lines = [row(name, "", [t for t in done if t["problem"] == name]) for name in problems]
     lines += [row("all", kind, [t for t in done if t["kind"] == kind]) for kind in KINDS]

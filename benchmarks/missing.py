@@ -1,7 +1,7 @@
 """Does `explain` name what a model lacks, or what is wrong with a log?
 
     python benchmarks/missing.py [--seeds 3] [--jobs 2] [--systems swing] [--faults spring,delay] [--pairs]
-                                 [--every 1] [--identify] [--repair] [--verbose]
+                                 [--every 1] [--identify] [--repair] [--verbose] [--part 1/3] [--add FILE...]
 
 Faults are put into five simulated robots, whose positions have noise: one at a time, or with `--pairs` two.
 A user's model lacks them, and its masses, damping or friction are unknown. The first row must name a fault
@@ -9,7 +9,8 @@ and its place in 90 %. Of pairs, the faults that any row names are counted too. 
 identified first, as by `amhe identify`: logs that it misses by no more than twice their noise are then not
 explained, and of faultless ones nothing may be named in 95 %. With `--repair` the faults that are numbers of
 a model are repaired, as by `amhe identify --repair`: the error of held-out clips must be within 10 % of that
-of a model whose user knew the cause, if not its size.
+of a model whose user knew the cause, if not its size. Each trial is printed as it ends; of many parts, each
+run by itself, `--add` takes what their runs have printed.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from common import over_seeds, seeds_of, show
+from common import add_parts, in_parts, seeds_of, show
 
 import amhe_cli as amhe
 from amhe_cli.api.compare import scored
@@ -549,6 +550,7 @@ def main() -> None:
     parser.add_argument("--pairs", action="store_true", help="two faults at a time")
     parser.add_argument("--identify", action="store_true", help="identify first")
     parser.add_argument("--repair", action="store_true", help="identify, and repair what a model can have")
+    add_parts(parser)
     parser.add_argument("--verbose", action="store_true", help="show the rows of what was not named")
     given = parser.parse_args()
     trials, offset = (PAIRS, len(TRIALS)) if given.pairs else (TRIALS, 0)
@@ -560,7 +562,7 @@ def main() -> None:
             for index, (robot, faults) in enumerate(TRIALS)
             if robot in given.systems.split(",") and faults and {*faults} <= {*wanted} & STRUCTURES.keys()
         ]
-        show_repairs(over_seeds("missing-repair", repaired, numbers[:: given.every], given.jobs))
+        show_repairs(in_parts("missing-repair", repaired, numbers[:: given.every], given))
         return
     numbers = [
         (seed * (len(TRIALS) + len(PAIRS)) + offset + index) * 2 + given.identify
@@ -568,7 +570,7 @@ def main() -> None:
         for index, (robot, faults) in enumerate(trials)
         if robot in given.systems.split(",") and all(f in wanted for f in faults or ("none",))
     ]
-    done = over_seeds("missing", trial, numbers[:: given.every], given.jobs)
+    done = in_parts("missing", trial, numbers[:: given.every], given)
     report(done, given.pairs, given.verbose)
 
 
