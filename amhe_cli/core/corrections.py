@@ -155,12 +155,12 @@ def updates(values: FloatArray) -> tuple[BoolArray, int]:
 def resolution(values: FloatArray) -> float:
     """The step of a quantised signal (n,), of which its changes are multiples; 0 where it has none."""
     steps = np.abs(np.diff(values[np.isfinite(values)]))
-    steps = steps[steps > 0.0]
-    if not steps.size:
-        return 0.0
-    step = float(np.quantile(steps, 0.05))
-    multiples = steps / step
-    return step if np.mean(np.abs(multiples - np.round(multiples)) < 0.1) > 0.9 else 0.0
+    steps = steps[steps > 1e-6 * steps.max(initial=0.0)]  # less is the arithmetic's
+    for share in (0.05, 0.0) if steps.size else ():  # a fast signal seldom changes by one step
+        multiples = steps / (step := float(np.quantile(steps, share)))
+        if np.mean(np.abs(multiples - np.round(multiples)) < 0.1) > 0.9:
+            return step
+    return 0.0
 
 
 def ordinal(number: int) -> str:

@@ -16,6 +16,7 @@ from amhe_cli.core import rotations
 from amhe_cli.core.corrections import resolution
 from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.core.settings import LogSettings
+from amhe_cli.core.signals import Series
 from amhe_cli.core.yaml_file import merged
 from amhe_cli.init.drive_library import Chosen, expect_less, library_parameters
 from amhe_cli.init.drives import (
@@ -359,23 +360,25 @@ def _estimate_noise(made: Proposal, log: Path, topics: Sequence[Topic], msg_path
         try:
             dt = 1.0 / rates[signal.topic or next(iter(rates))]
             wanted = replace(signal, quantities=compared)
-            sample = read_signals(log, [wanted], dt, LogSettings(), end=_NOISE_SECONDS, msg_path=msg_path)
+            held = replace(wanted, name=f"{signal.name} held", is_input=True)  # its steps, not interpolated
+            both = read_signals(log, [wanted, held], dt, LogSettings(), end=_NOISE_SECONDS, msg_path=msg_path)
         except AmheError as error:
             unread.append(f"{guess.name}: its noise is a guess, because {error}")
             continue
         for key in compared:
-            series = sample[signal.key(key)]
-            guess.noise[key] = _noise(key, np.asarray(series.values), np.asarray(series.valid))
+            guess.noise[key] = _noise(key, both[wanted.key(key)], both[held.key(key)])
     return unread
 
 
-def _noise(quantity: str, values: np.ndarray, valid: np.ndarray) -> float:
+def _noise(quantity: str, series: Series, held: Series) -> float:
     """Noise sd of a series, from its third differences, which are nearly zero for smooth motion.
 
     Velocities count three times: most logs filter or differentiate them, and they would outweigh poses.
-    A sensor that counts steps errs by their uniform distribution, also where the median is none.
+    A sensor that counts steps errs by their uniform distribution, also where the differences are none;
+    `held` are its samples as they came.
     The result is at least a quarter of the usual noise: no model is better than that.
     """
+    values, valid = series.values, series.valid
     if quantity == "orientation":
         steps = rotations.difference(values[1:], values[:-1])
         third = np.diff(steps, 2, axis=0)
@@ -388,6 +391,12 @@ def _noise(quantity: str, values: np.ndarray, valid: np.ndarray) -> float:
     # 1.4826: sd from the median of a normal distribution; 20 = 1 + 9 + 9 + 1; 1.2: interpolation has averaged
     sd = 1.2 * 1.4826 * float(np.median(np.abs(third[whole]))) / np.sqrt(20.0)
     sd *= 3.0 if "velocity" in quantity else 1.0
-    ragged = float(np.sqrt(np.mean(third[whole] ** 2) / 20.0))  # steady motion has steps too, but evenly
-    sd = max(sd, min(ragged, max(map(resolution, values[valid].T)) / np.sqrt(12.0)))
+    sd = max(sd, *(_rounding(column) for column in held.values[held.valid].T))
     return float(f"{np.clip(sd, usual / 4.0, usual * 100.0):.2g}")
+
+
+def _rounding(values: np.ndarray) -> float:
+    """Sd of the rounding of samples (n,); 0 if they have no steps, or only those of a steady motion."""
+    steps = np.diff(values)
+    steady = (steps[1:] == steps[:-1])[steps[1:] != 0.0]
+    return float(resolution(values) / np.sqrt(12.0)) if steady.size and steady.mean() < 0.5 else 0.0

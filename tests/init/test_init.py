@@ -116,6 +116,19 @@ def test_noise_is_estimated_from_the_log(tmp_path: Path, walker_log: Path) -> No
     assert noise["crate.linear_velocity"] is None  # a pose has none: differentiated, sets the state only
 
 
+@pytest.mark.parametrize("speed", [0.4, 6.0])
+def test_a_speed_that_is_held_and_rounded_errs_by_its_steps(tmp_path: Path, speed: float) -> None:
+    """As a servo's bus has it: news in every fourth sample, in steps of 0.0767 rad/s, at uneven stamps."""
+    time = np.arange(0.0, 6.0, 0.0067) + np.random.default_rng(1).uniform(0.0, 5e-4, 896)
+    angle, held = np.sin(speed * time), speed * np.cos(speed * time)[np.arange(896) // 4 * 4]
+    table = np.column_stack([1e3 * time, np.degrees(angle), np.degrees(0.0767 * np.round(held / 0.0767))])
+    header = "time_ms,position_deg,speed_deg_s,goal_deg"
+    np.savetxt(tmp_path / "log.csv", table[:, [0, 1, 2, 1]], delimiter=",", header=header, comments="")
+    system, _, _ = made(tmp_path, ARM.replace("motor", "position"), [tmp_path / "log.csv"])
+    noise = {channel.key: channel.noise for channel in system.channels}
+    assert noise["joints.velocity"] == pytest.approx(0.0767 / np.sqrt(12.0), rel=0.02)
+
+
 def test_servo_gain_is_known_only_so_well(tmp_path: Path, walker_log: Path) -> None:
     """Masses and torques are measured by it: taken for exact, it would make them look exact."""
     system, text, _ = made(tmp_path, walker(), [walker_log])
