@@ -323,31 +323,30 @@ def real(number: int) -> dict[str, Any]:
 
 
 def wrong(number: int) -> dict[str, Any]:
-    """One log of the XL330, whose servo the model has wrong and takes as exact."""
+    """One log of the XL330, whose servo the model has wrong in one way and takes as exact."""
     logging.disable(logging.WARNING)
-    path, found = sorted((DATA / "xl330").glob("*.mcap"))[number], []
+    at, way = divmod(number, len(WRONG))
+    path, (how, (factor, limit)) = sorted((DATA / "xl330").glob("*.mcap"))[at], list(WRONG.items())[way]
     gain, motion = float(path.stem.split("_")[0][2:]), path.stem.partition("_")[2]
     with tempfile.TemporaryDirectory() as name:
         system = xl330_bench(name).system(path, gain)
         description = yaml.safe_load(system.text)
         exact = ("gain", "torque_scale", "gain_ratio")
         parameters = {n: p for n, p in description["parameters"].items() if not n.endswith(exact)}
-        for how, (factor, limit) in WRONG.items():
-            spec = mujoco.MjSpec.from_file(str(system.folder / description["model"]))
-            servo = spec.actuators[0]
-            servo.gainprm = factor * np.array(servo.gainprm)
-            servo.biasprm = [0.0, factor * servo.biasprm[1], *servo.biasprm[2:]]
-            servo.forcerange = limit * np.array(servo.forcerange)
-            other = amhe.System.from_model(
-                spec,
-                parameters=parameters,
-                signals=description["signals"],
-                settings=description["settings"],
-                name="wrong",
-                warn=False,
-            )
-            found.append({"how": how, "truth": 0.49, "motion": motion} | weighed(other, path, {}))
-    return {"found": found}
+        spec = mujoco.MjSpec.from_file(str(system.folder / description["model"]))
+        servo = spec.actuators[0]
+        servo.gainprm = factor * np.array(servo.gainprm)
+        servo.biasprm = [0.0, factor * servo.biasprm[1], *servo.biasprm[2:]]
+        servo.forcerange = limit * np.array(servo.forcerange)
+        other = amhe.System.from_model(
+            spec,
+            parameters=parameters,
+            signals=description["signals"],
+            settings=description["settings"],
+            name="wrong",
+            warn=False,
+        )
+        return {"found": [{"how": how, "truth": 0.49, "motion": motion} | weighed(other, path, {})]}
 
 
 def row(label: str, found: list[dict[str, Any]]) -> tuple[str, ...]:
@@ -383,7 +382,7 @@ def main() -> None:
     parser.add_argument("--wrong", action="store_true", help="these logs, by a servo that is wrong")
     given = parser.parse_args()
     if given.wrong:
-        done = over_seeds("weigh-wrong", wrong, range(16), given.jobs)
+        done = over_seeds("weigh-wrong", wrong, range(16 * len(WRONG)), given.jobs)
     elif given.real:
         done = over_seeds("weigh-xl330", real, range(16), given.jobs)
     else:
