@@ -2,6 +2,7 @@
 
     python benchmarks/gpu.py [--rollouts 1024,4096,8192,32768] [--problems go1_push,arm] [--device cuda:0]
     python benchmarks/gpu.py --fits gpu,auto [--problems arm,tosses,feet]   # whole commands, beside the cpu's
+    python benchmarks/gpu.py --many 32 --fits gpu --problems go1_push       # searches side by side
 
 "bare" replays the captured step of mujoco-warp on the same worlds under the same inputs, with a clock,
 and nothing else; "alone" is that step and nothing else, of which no world waits for another. "Busy" is the
@@ -15,20 +16,23 @@ import argparse
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from itertools import product
+from multiprocessing import get_context
 
 import mujoco
 import numpy as np
-import warp as wp
 from common import PROJECT, multisine, show, simulated
 from matching_cost import cube_toss, pendulum
 
 import amhe_cli as amhe
+from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Log
 from amhe_cli.core.rotations import exp, multiply
-from amhe_cli.engine.gpu.card import Card, bytes_per_world
 from amhe_cli.engine.gpu.engine import GpuEngine
-from amhe_cli.engine.open import open_engine
+from amhe_cli.engine.gpu.shared import spent_at
+from amhe_cli.engine.open import open_engine, shared_cards
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.clips import ClipPool, whole
@@ -181,15 +185,12 @@ def timed(call: Callable[[], object], repetitions: int = 3) -> float:
     return float(np.median(taken))
 
 
-@wp.kernel
-def tick(clock: wp.array[int]):
-    """Count a step: without a clock the inputs stand still, and so do most worlds."""
-    world = wp.tid()
-    clock[world] = clock[world] + 1  # pyright: ignore[reportIndexIssue]
-
-
 def speed(name: str, rollouts: int, device: str, cores: int) -> list[str]:
     """Steps a second of the cost on the card, of bare stepping, and of the cost on all cores."""
+    import warp as wp  # not by the processes of whole identifications
+
+    from amhe_cli.engine.gpu.card import Card, bytes_per_world
+
     system, logs = PROBLEMS[name]()
     engine = on_device(system, device)
     cost = matching(system, logs, engine)
@@ -207,12 +208,12 @@ def speed(name: str, rollouts: int, device: str, cores: int) -> list[str]:
 
     def bare() -> float:
         with set_.stream():
-            work = set_.prepare(job, [])
-        count = lambda: wp.launch(tick, set_.count, [set_.clock], device=device)  # noqa: E731
-        wp.synchronize_device(device)
-        start = time.perf_counter()
-        replace(work, record=[], watch=count).run()
-        wp.synchronize_device(device)
+            work, clock = set_.prepare(job, []), set_._view(set_.clock)
+            wp.synchronize_device(device)
+            start = time.perf_counter()
+            # without a clock the inputs stand still, and so do most worlds
+            replace(work, record=[], watch=lambda: clock.__iadd__(1)).run()
+            wp.synchronize_device(device)
         return time.perf_counter() - start
 
     def alone() -> float:
@@ -272,23 +273,78 @@ def iteration(name: str, cores: int) -> list[str]:
     return [name, *(f"{card:.2f} s" for card in cards), f"{host:.1f} s", f"{host / min(cards):.1f}x"]
 
 
-def fits(name: str, kinds: Sequence[str], cores: int) -> Iterator[list[str]]:
-    """Whole identifications, estimates and verdicts beside those of the processor."""
+@dataclass(frozen=True)
+class Fit:
+    """One identification: its wall and CPU seconds, estimate, sds and verdicts, in coordinates z."""
+
+    seconds: float
+    cpu: float
+    z: FloatArray
+    sd: FloatArray
+    verdicts: dict[str, str]
+
+
+def fit(name: str, kind: str, threads: int, seed: int = 0) -> Fit:
+    """Identify a problem."""
     system, logs = PROBLEMS[name]()
-    space, expected = system.space, None
-    for kind in ("cpu", *kinds):
-        start = time.perf_counter()
-        result = amhe.identify(system, logs, seed=0, threads=cores, engine=kind)
-        seconds = time.perf_counter() - start
-        expected = expected or result
-        sd = np.sqrt(np.diag(np.array(expected.belief.covariance))) / space.prior_sd
-        apart = np.abs(space.z_of(result.belief.estimate) - space.z_of(expected.belief.estimate)) / sd
-        pairs = list(zip(expected.parameters.values(), result.parameters.values(), strict=True))
-        others = [f"{a.name}: {a.verdict} -> {b.verdict}" for a, b in pairs if a.verdict != b.verdict]
+    start, cpu = time.perf_counter(), time.process_time()
+    result = amhe.identify(system, logs, seed=seed, threads=threads, engine=kind)
+    return Fit(
+        time.perf_counter() - start,
+        time.process_time() - cpu,
+        system.space.z_of(result.belief.estimate),
+        np.sqrt(np.diag(np.array(result.belief.covariance))) / system.space.prior_sd,
+        {p.name: p.verdict for p in result.parameters.values()},
+    )
+
+
+def alone(name: str, kind: str, cores: int) -> Fit:
+    """An identification in a process of its own, as of a command."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as executor:
+        return executor.submit(fit, name, kind, cores).result()
+
+
+def fits(name: str, kinds: Sequence[str], cores: int, repetitions: int) -> Iterator[list[str]]:
+    """Whole identifications, estimates and verdicts beside those of the processor."""
+    turns = [{kind: alone(name, kind, cores) for kind in ("cpu", *kinds)} for _ in range(repetitions)]
+    expected, usual = turns[0]["cpu"], np.median([turn["cpu"].seconds for turn in turns])
+    for kind in turns[0]:
+        found, seconds = turns[0][kind], np.median([turn[kind].seconds for turn in turns])
+        apart = np.abs(found.z - expected.z) / expected.sd
+        others = [
+            f"{n}: {v} -> {found.verdicts[n]}" for n, v in expected.verdicts.items() if v != found.verdicts[n]
+        ]
         yield [
-            name, kind, f"{seconds:.1f} s", f"{apart.max():.2f}",
-            f"{len(pairs) - len(others)} of {len(pairs)}", "; ".join(others),
+            name, kind, f"{seconds:.1f} s", f"{seconds / usual:.2f}", f"{apart.max():.2f}",
+            f"{len(expected.verdicts) - len(others)} of {len(expected.verdicts)}", "; ".join(others),
         ]  # fmt: skip
+
+
+def many(name: str, kind: str, count: int, jobs: int) -> Iterator[list[str]]:
+    """Searches of the same log side by side, one thread each: how long, and what the cards did."""
+    began = time.perf_counter()
+    with shared_cards(kind) as shared, ProcessPoolExecutor(jobs, get_context("forkserver")) as executor:
+        running = [executor.submit(fit, name, shared, 1, seed) for seed in range(count)]
+        for number, done in enumerate(as_completed(running)):
+            one = done.result()
+            at = time.perf_counter() - began
+            print(f"{at:6.1f} s: {number + 1} done; {one.seconds:.1f} s, {one.cpu:.1f} CPU s", flush=True)
+        seconds = time.perf_counter() - began
+        spent = spent_at(shared.partition("@")[2]) if kind != "cpu" else []
+    cpu = float(np.mean([one.result().cpu for one in running]))
+    z = np.array([one.result().z for one in running])
+    sd = running[0].result().sd
+    runs = [run for run in spent if run.jobs]
+    for run in spent[:60]:
+        about = f"{run.jobs} jobs, {run.rollouts} rollouts, {run.steps} steps"
+        print(f"{run.at:7.2f} +{run.seconds:5.2f} s: {about}")
+    busy = sum(run.seconds for run in spent)
+    yield [
+        name, kind, str(count), str(jobs), f"{seconds:.1f} s", f"{count / seconds * 3600:.0f}",
+        f"{cpu:.1f} s", str(len(runs)), f"{np.mean([run.jobs for run in runs] or [0]):.1f}",
+        f"{busy:.1f} s", f"{sum(run.steps for run in runs) / max(busy, 1e-9) / 1e6:.2f} M",
+        f"{(np.ptp(z, axis=0) / sd).max():.2f}",
+    ]  # fmt: skip
 
 
 def main() -> None:
@@ -300,6 +356,11 @@ def main() -> None:
     parser.add_argument("--no-agreement", action="store_true")
     parser.add_argument("--iteration", help="problems of which to time one iteration of the search instead")
     parser.add_argument("--fits", help="engines by which to identify each problem instead, beside the cpu's")
+    parser.add_argument(
+        "--repetitions", type=int, default=1, help="of each of these, of which the median counts"
+    )
+    parser.add_argument("--many", type=int, help="so many identifications side by side, by each of --fits")
+    parser.add_argument("--jobs", type=int, help="processes of these")
     asked = parser.parse_args()
     if asked.iteration:
         lines = [iteration(name, asked.cores) for name in asked.iteration.split(",")]
@@ -308,13 +369,30 @@ def main() -> None:
     names = asked.problems.split(",")
     if asked.fits:
         lines = []
-        for name in names:
-            for line in fits(name, asked.fits.split(","), asked.cores):
+        for name, kind in product(names, asked.fits.split(",") if asked.many else ("",)):
+            shown = (
+                many(name, kind, asked.many, asked.jobs or asked.many)
+                if asked.many
+                else fits(name, asked.fits.split(","), asked.cores, asked.repetitions)
+            )
+            for line in shown:
                 print(*lines.append(line) or line, flush=True)
-        show(
-            "Identifications, beside those of the CPU",
-            ("system", "engine", "time", "farthest estimate [sd]", "verdicts alike", "others"), lines,
-        )  # fmt: skip
+        if asked.many:
+            columns = (
+                "system", "engine", "searches", "processes", "time", "an hour", "CPU, each", "runs",
+                "jobs a run", "card busy", "steps/s", "seeds apart [sd]",
+            )  # fmt: skip
+        else:
+            columns = (
+                "system",
+                "engine",
+                "time",
+                "of cpu's",
+                "farthest estimate [sd]",
+                "verdicts alike",
+                "others",
+            )
+        show("Identifications", columns, lines)
         return
     if not asked.no_agreement:
         show(
@@ -328,7 +406,7 @@ def main() -> None:
             lines.append(speed(name, rollouts, asked.device, asked.cores))
             print(*lines[-1], flush=True)
     show(
-        f"Matching cost on {wp.get_device(asked.device).name}, {asked.cores} CPU cores beside it",
+        f"Matching cost on {asked.device}, {asked.cores} CPU cores beside it",
         (
             "system", "rollouts", "worlds", "alone", "busy", "bare steps/s", "cost steps/s",
             "cost/bare", "cost/alone",

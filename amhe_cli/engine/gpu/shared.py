@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import pickle
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager, nullcontext
@@ -108,6 +109,11 @@ class SharedCard:
             raise SimulationError("the process that has the graphics cards has ended") from None
 
 
+def spent_at(address: str) -> list[Spent]:
+    """What the cards of another process have done so far."""
+    return _desk_at(address).spent()
+
+
 @cache
 def _desk_at(address: str) -> _Desk:
     """What stands for the desk of another process; it connects anew in each thread and forked process."""
@@ -136,6 +142,20 @@ class _Request:
         return (self.name, self.about.picks) if isinstance(self.about, Job) else self
 
 
+@dataclass(frozen=True, slots=True)
+class Spent:
+    """One run of a card: when it began and how long it took [s], for how many jobs, rollouts and steps.
+
+    A run without jobs has opened a model.
+    """
+
+    at: float
+    seconds: float
+    jobs: int
+    rollouts: int
+    steps: int
+
+
 class _Desk:
     """Where questions wait for a card that is free."""
 
@@ -143,6 +163,11 @@ class _Desk:
         self._waiting: list[_Request] = []
         self._change = Condition()
         self._packed: dict[str, bytes] = {}
+        self._begun, self._spent = time.perf_counter(), list[Spent]()
+
+    def spent(self) -> list[Spent]:
+        """What the cards have done so far."""
+        return list(self._spent)
 
     def open(self, devices: Sequence[str]) -> None:
         """Begin to answer with these cards."""
@@ -176,7 +201,18 @@ class _Desk:
                     cards[name] = card  # the last used is the last to go
                     if len(cards) > KEPT:
                         del cards[next(iter(cards))]
+                    began = time.perf_counter()
                     _answer(left, card)
+                    jobs = [request.about for request in left if isinstance(request.about, Job)]
+                    self._spent.append(
+                        Spent(
+                            at=began - self._begun,
+                            seconds=time.perf_counter() - began,
+                            jobs=len(jobs),
+                            rollouts=sum(len(job.clip) for job in jobs),
+                            steps=int(sum(job.lengths[job.clip].sum() for job in jobs)),
+                        )
+                    )
                 except NoRoomError as error:  # worlds of other models go, and each job gets a run of its own
                     for card in cards.values():
                         card.clear()
@@ -207,7 +243,7 @@ class _Manager(BaseManager):
     desk: Callable[[], _Desk]
 
 
-_Manager.register("desk", _desk, exposed=("open", "ask"))
+_Manager.register("desk", _desk, exposed=("open", "ask", "spent"))
 
 
 def _answer(some: Sequence[_Request], card: Card) -> None:

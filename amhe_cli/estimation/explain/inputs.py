@@ -15,12 +15,12 @@ from itertools import combinations
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.states import collides, controls
 from amhe_cli.estimation.explain.motion import DrivenMotion, motion_in
 from amhe_cli.estimation.explain.regression import LEVEL, SIGNS, blocks_of, memory_of
-from amhe_cli.estimation.explain.unexplained import accelerations, along, apart_in, direction, missing
+from amhe_cli.estimation.explain.unexplained import along, apart_in, direction, missing
 from amhe_cli.estimation.offline.clips import whole
 from amhe_cli.system.model.elements import dofs_of
 from amhe_cli.system.system import System
@@ -186,8 +186,9 @@ def _left(system: System, part: Window) -> FloatArray | None:
             return None
         rows[:] = True  # ranges in another unit
     size = np.sqrt((motion.filtered(motion.qacc)[rows][:, dofs] ** 2).mean(axis=0)) + 1e-12
-    more = filtered_forces(system, motion, found.given)[:, rows]
-    columns = accelerations(found.mass[rows], more, dofs) / size  # (m, n, k)
+    given, owner = own_forces(system, motion, found.given)
+    own = np.linalg.inv(found.mass[rows][:, dofs][:, :, dofs])[:, :, owner]  # each acts on its joint alone
+    columns = np.moveaxis(own, 2, 0) * motion.filtered(given)[rows].T[..., None] / size  # (m, n, k)
     columns /= np.sqrt((columns**2).sum(axis=2).mean(axis=1))[:, None, None] + 1e-12
     e, flat = residual[rows] / size, columns.reshape(len(columns), -1)
     price = _PRICE * len(e) * np.eye(len(flat))
@@ -197,18 +198,16 @@ def _left(system: System, part: Window) -> FloatArray | None:
     return total / len(dofs)
 
 
-def filtered_forces(system: System, motion: DrivenMotion, given: FloatArray) -> FloatArray:
-    """What each joint's drive, friction, inertia or a spring gives, filtered, shape (m, n, nv)."""
-    places, way = dofs_of(system.model), direction(motion.qvel)
-    columns = []
-    for dof in motion.dofs:
+def own_forces(system: System, motion: DrivenMotion, given: FloatArray) -> tuple[FloatArray, IntArray]:
+    """What each joint's drive, friction, inertia or a spring gives, shape (n, m), and which of them it is."""
+    places, way, columns, owner = dofs_of(system.model), direction(motion.qvel), [], []
+    for number, dof in enumerate(motion.dofs):
         own = [given[:, dof], motion.qvel[:, dof], way[:, dof], motion.qacc[:, dof]]
         if (place := places[dof].place) >= 0:
             own.append(motion.qpos[:, place] - motion.qpos[:, place].mean())
-        for values in own:
-            columns.append(np.zeros_like(motion.qvel))
-            columns[-1][:, dof] = values
-    return np.moveaxis(motion.filtered(np.stack(columns, axis=1)), 1, 0)
+        columns += own
+        owner += len(own) * [number]
+    return np.stack(columns, axis=1), np.array(owner)
 
 
 def first_look(
