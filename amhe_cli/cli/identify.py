@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import shutil
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +16,11 @@ from amhe_cli.cli.kinds import MODEL, NewFile
 from amhe_cli.cli.session import LOSSY, Session
 
 if TYPE_CHECKING:
+    from amhe_cli.api.identify import Result
+    from amhe_cli.cli.inputs import Inputs
+    from amhe_cli.core.log import Log
     from amhe_cli.estimation.core.result import ParameterResult
+    from amhe_cli.system.system import System
 
 
 def _a_cause(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
@@ -79,50 +85,28 @@ def identify(session: Session, given: Given) -> int | None:
     a LeRobot dataset, or a YAML file that lists logs and what is known of each: see docs/logs.md. Writes
     belief.yaml, identified.xml, result.json and report.html.
     """
-    from functools import partial
-
-    from amhe_cli.api.identify import Interrupted
-    from amhe_cli.api.identify import identify as run
-    from amhe_cli.api.repair import repair
     from amhe_cli.check.motion import log_findings, motions
-    from amhe_cli.cli.progress import of_search, progress
     from amhe_cli.cli.required import matching, missed_of
     from amhe_cli.logs import members, read_log
     from amhe_cli.logs.read import truth_in_metadata
     from amhe_cli.report.check import said_before
     from amhe_cli.report.identification import print_identification
-    from amhe_cli.study.executors import executor_of
 
-    inputs, logs = given.inputs, given.logs
-    if given.model and inputs.system:
+    logs = given.logs
+    if given.model and given.inputs.system:
         raise click.UsageError("give --system or --model: a model's system is made anew")
     folder = given.reserve()
     _check_apart(logs, given.held_out)
-    if given.model:
-        inputs = inputs.of_model(given.model, logs, folder / "system")
-    system = inputs.open(logs)
-    known: Any = given.pick("fix", "only", "belief_anyway")
-    system.starting_from(given.belief, **known)  # a mistake in an option is found before long logs are read
-    matching(system.space.names, given.require)
-    training = inputs.read(system, logs)
-    console = None if session.json else session.console()
-    doubts = log_findings(system, training, motions(system, training))
-    findings = said_before(system, doubts, console)
-    validation = read_log(given.held_out, system, msg_path=inputs.msg_path)
-    if given.repair:
-        run = partial(repair, cause=None if given.repair == "all" else given.repair)
-    known |= given.pick("method", "max_time", "checkpoint", "seed", "threads", "engine")
-    with (
-        progress(session, "identify", of_search, left=True) as show,
-        executor_of(given.workers, given.cluster) as executor,
-    ):
-        try:
-            result = run(
-                system, training, held_out=validation, prior=given.belief, executor=executor,
-                progress=lambda iteration, total: show((iteration, total)), **known,
-            )  # fmt: skip
-        except Interrupted as stop:
-            result = stop.result
+    with _described(given, folder / "system") as inputs:
+        system = inputs.open(logs)
+        known: Any = given.pick("fix", "only", "belief_anyway")
+        system.starting_from(given.belief, **known)  # a mistake is found before long logs are read
+        matching(system.space.names, given.require)
+        training = inputs.read(system, logs)
+        doubts = log_findings(system, training, motions(system, training))
+        findings = said_before(system, doubts, None if session.json else session.console())
+        validation = read_log(given.held_out, system, msg_path=inputs.msg_path)
+        result = _searched(session, given, system, training, validation)
     session.interrupted = result.found.interrupted
     missed = missed_of(result.found.parameters, given.require, "known")
     about = {"findings": findings, "not_reached": missed, "out": str(folder)}
@@ -134,6 +118,53 @@ def identify(session: Session, given: Given) -> int | None:
         print_identification(result.found, folder, session.console(), truth_in_metadata(training))
         _print_help(session, result.found.parameters, missed)
     return LOSSY if missed else None
+
+
+@contextmanager
+def _described(given: Given, folder: Path) -> Iterator[Inputs]:
+    """Which system the logs are about; one that is made of a model goes again if the block fails.
+
+    So the same command, with its mistake mended, is not refused for what it left.
+    """
+    inputs, made = given.inputs, not folder.exists()
+    try:
+        yield inputs.of_model(given.model, given.logs, folder) if given.model else inputs
+    except BaseException:
+        if given.model and made:
+            shutil.rmtree(folder, ignore_errors=True)
+            with suppress(OSError):  # it has more, or was there
+                folder.parent.rmdir()
+        raise
+
+
+def _searched(
+    session: Session, given: Given, system: System, training: Sequence[Log], validation: Sequence[Log]
+) -> Result:
+    """The result, or the best so far where the user stops the search."""
+    from functools import partial
+
+    from amhe_cli.api.identify import Interrupted
+    from amhe_cli.api.identify import identify as run
+    from amhe_cli.api.repair import repair
+    from amhe_cli.cli.progress import of_search, progress
+    from amhe_cli.study.executors import executor_of
+
+    if given.repair:
+        run = partial(repair, cause=None if given.repair == "all" else given.repair)
+    known: Any = given.pick(
+        "fix", "only", "belief_anyway", "method", "max_time", "checkpoint", "seed", "threads", "engine"
+    )
+    with (
+        progress(session, "identify", of_search, left=True) as show,
+        executor_of(given.workers, given.cluster) as executor,
+    ):
+        try:
+            return run(
+                system, training, held_out=validation, prior=given.belief, executor=executor,
+                progress=lambda iteration, total: show((iteration, total)), **known,
+            )  # fmt: skip
+        except Interrupted as stop:
+            return stop.result
 
 
 def _print_help(session: Session, parameters: Sequence[ParameterResult], missed: Sequence[str]) -> None:

@@ -92,6 +92,11 @@ def test_a_model_needs_no_system_folder(pendulum_log: Path, tmp_path: Path) -> N
     quiet, model = ("-q", *QUICK), ("--model", str(ROOT / "models" / "pendulum" / "scene.xml"))
     assert run(["identify", str(pendulum_log), *model, "--system", "pendulum", "-o", str(out)]) == 2
     assert not out.exists()
+    blind = tmp_path / "blind.csv"  # no clip of it can be used
+    blind.write_text("time,hinge_position,hinge_command\n0,0.1,0\n0.01,0.1,0\n0.02,0.1,0\n")
+    assert run(["identify", str(blind), *model, "-o", str(out), *quiet]) != 0
+    assert run(["identify", str(pendulum_log), *model, "-o", str(out), *quiet, "--fix", "no_such=1"]) == 2
+    assert not out.exists(), "the mistake is mended, and the same folder is not refused"
     assert run(["identify", str(pendulum_log), *model, "-o", str(out), *quiet]) == 0
     assert names(out) == sorted([*FILES, "system"]) and names(out / "system") == ["scene.xml", "system.yaml"]
     assert run(["view", str(out), "--save", str(tmp_path / "page.html"), "-q"]) == 0
