@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
+import subprocess
 import tomllib
 from importlib.metadata import PackageNotFoundError, metadata, version
 from itertools import chain
@@ -34,6 +35,13 @@ SILENT = {"motioncapture": "MIT License"}
 
 def names(requirements: list[str]) -> set[str]:
     return {re.split(r"[^\w.-]", text)[0] for text in requirements}
+
+
+def test_no_file_of_the_repository_is_large() -> None:
+    git = ["git", "ls-files", "-z"]
+    listed = subprocess.run(git, cwd=ROOT, capture_output=True, text=True, check=False).stdout.split("\0")
+    files = [ROOT / name for name in listed if name]
+    assert [f"{path}" for path in files if path.is_file() and path.stat().st_size > 2**20] == []
 
 
 def test_every_package_of_every_extra_is_in_the_table() -> None:

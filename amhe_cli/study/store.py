@@ -88,7 +88,7 @@ class Store:
         with whole(self.folder / PACKED) as packed, zipfile.ZipFile(packed, "w") as archive:
             for file in files:
                 entry = zipfile.ZipInfo(file.name, _PACKED_DATE)
-                archive.writestr(entry, file.read_bytes(), zipfile.ZIP_DEFLATED, compresslevel=9)
+                archive.writestr(entry, file.read_bytes(), zipfile.ZIP_LZMA)
         shutil.rmtree(self.folder / CELLS, ignore_errors=True)
 
     def _files(self) -> list[Path | zipfile.Path]:
