@@ -43,7 +43,7 @@ class Browser:
     """One tab. Scripts that fail fail the test; what pages say on the console is kept in `complaints`."""
 
     def __init__(self, to: Any, back: Any) -> None:
-        self._to, self._back, self._count = to, back, 0
+        self._to, self._back, self._count, self._unread = to, back, 0, b""
         self.session: dict[str, str] = {}
         target = self.ask("Target.createTarget", url="about:blank")["targetId"]
         attached = self.ask("Target.attachToTarget", targetId=target, flatten=True)
@@ -77,11 +77,12 @@ class Browser:
             self.complaints.append(told["entry"]["text"])
 
     def _message(self) -> bytes:
-        whole = bytearray()
-        while (byte := self._back.read(1)) != b"\0":
-            assert byte, "Chromium has ended"
-            whole += byte
-        return bytes(whole)
+        while (end := self._unread.find(b"\0")) < 0:
+            more = self._back.read(2**20)  # what there is; a picture has megabytes
+            assert more, "Chromium has ended"
+            self._unread += more
+        whole, self._unread = self._unread[:end], self._unread[end + 1 :]
+        return whole
 
     def open(self, address: str, width: int = 1280, height: int = 900, dark: bool = False) -> None:
         self.ask(
