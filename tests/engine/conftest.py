@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
-from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -19,13 +19,15 @@ from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.system.system import System
 
-#: How every engine is opened; `spread` gives it two worker processes, `warp` is that of graphics cards on
-#: the processor. A new engine is one more line.
+#: Warp's names of the devices on which the engine of graphics cards is tested: TEST_DEVICES=cuda:0,cuda:1 has
+#: it on two cards; by default it is warp's own processor device.
+DEVICES = os.environ.get("TEST_DEVICES", "cpu").split(",")
+#: How every engine is opened; `spread` gives it two worker processes. A new engine is one more line.
 ENGINES: dict[str, dict[str, Any]] = {
     "one thread": {"threads": 1},
     "two threads": {"threads": 2},
     "two processes": {"spread": True},
-    "warp": {"device": "cpu"},
+    "warp": {"devices": DEVICES},
 }
 
 Open = Callable[..., Engine]
@@ -43,21 +45,19 @@ def workers() -> Iterator[Executor]:
 def opened(request: pytest.FixtureRequest) -> Open:
     """Opens the engine for a system, as `open_engine` does."""
     given = dict(ENGINES[request.param])
-    if "device" in given:
-        return partial(on_warp, device=given["device"])
+    if "devices" in given:
+        return on_warp
     executor = request.getfixturevalue("workers") if given.pop("spread", False) else None
     return lambda system, **more: open_engine(system, executor=executor, **given, **more)
 
 
-def on_warp(
-    system: System, *, device: str, model: mujoco.MjModel | None = None, sensors: bool | None = None
-) -> Engine:
-    """The engine of graphics cards on another device of warp, as `open_engine` makes it for the cards."""
+def on_warp(system: System, *, model: mujoco.MjModel | None = None, sensors: bool | None = None) -> Engine:
+    """The engine of graphics cards on these devices, as `open_engine` makes it for all cards."""
     from amhe_cli.engine.gpu.engine import GpuEngine
 
     edits = system.edits if model is None else system.edits.upon(model)
     senses = system.senses if sensors is None else sensors
-    return GpuEngine(model or system.model, edits, system.input_spec, senses, [device])
+    return GpuEngine(model or system.model, edits, system.input_spec, senses, DEVICES)
 
 
 def asked(kind: str, arguments: tuple[Any, ...]) -> np.ndarray:

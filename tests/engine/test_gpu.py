@@ -1,4 +1,4 @@
-"""The engine of graphics cards, on warp's processor device: turns, several cards, buffers, refusals."""
+"""The engine of graphics cards, by default on the processor: turns, several cards, buffers, refusals."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.uncertainty.fit import final_fit
 from amhe_cli.system.system import System
-from tests.engine.conftest import asked
+from tests.engine.conftest import DEVICES, asked
 from tests.engine.test_contract import clips
 
 pytestmark = pytest.mark.slow  # warp compiles its kernels, which takes half a minute the first time
@@ -45,7 +45,7 @@ CUBE = System.load("cube_toss")
 
 
 def on(system: System, *devices: str) -> GpuEngine:
-    return GpuEngine(system.model, system.edits, system.input_spec, system.senses, devices or ("cpu",))
+    return GpuEngine(system.model, system.edits, system.input_spec, system.senses, devices or DEVICES)
 
 
 def call(system: System, count: int = 5, clips: int = 4) -> tuple[Any, ...]:
@@ -86,7 +86,7 @@ def test_clips_in_one_queue_are_those_of_worlds_of_their_own(
     spec = mujoco.MjSpec.from_file(str(system.folder / "scene.xml"))  # type: ignore[operator]
     spec.add_sensor(name="clock", type=mujoco.mjtSensor.mjSENS_CLOCK)
     model = spec.compile()
-    engine = GpuEngine(model, system.edits.upon(model), system.input_spec, True, ["cpu"])
+    engine = GpuEngine(model, system.edits.upon(model), system.input_spec, True, DEVICES)
     starts, wanted = clips(system, 5)
     starts.qvel[3] = np.nan
     wanted.append(replace(wanted[0], source="sensordata", columns=(0,)))
@@ -127,7 +127,7 @@ def test_all_modules_that_a_step_needs_are_loaded_side_by_side(monkeypatch: pyte
     kind, loaded = type(wp.get_module("any")), []
     load = kind.load
     monkeypatch.setattr(kind, "load", lambda self, *given: loaded.append(self) or load(self, *given))
-    device = wp.get_device("cpu")
+    device = wp.get_device(DEVICES[0])
 
     def suggested(kernel: Any, *given: Any) -> tuple[int, int]:
         """As on a card: it takes the kernel, in the middle of the launches."""
@@ -148,7 +148,7 @@ def test_all_modules_that_a_step_needs_are_loaded_side_by_side(monkeypatch: pyte
 def test_several_cards_share_a_prediction(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine_module, "LEAST", 4)
     arguments = call(PENDULUM)
-    (one,), (three,) = (on(PENDULUM, *n * ["cpu"]).predict(*arguments).values for n in (1, 3))
+    (one,), (three,) = (on(PENDULUM, *n * DEVICES).predict(*arguments).values for n in (1, 3))
     np.testing.assert_array_equal(to_host(three), to_host(one))
 
 
@@ -181,7 +181,7 @@ def test_jobs_of_several_that_ask_are_one_with_the_numbers_of_each(system: Syste
 def test_processes_share_the_cards_of_another_one(monkeypatch: pytest.MonkeyPatch) -> None:
     arguments = call(PENDULUM)
     alone = on(PENDULUM).predict(*arguments)
-    monkeypatch.setattr("amhe_cli.engine.open.visible_cards", lambda: ["cpu"])
+    monkeypatch.setattr("amhe_cli.engine.open.visible_cards", lambda: DEVICES)
     with shared_cards("gpu") as kind, ProcessPoolExecutor(3, get_context("spawn")) as executor:
         for found in executor.map(partial(asked, kind), 3 * [arguments]):
             np.testing.assert_array_equal(found, to_host(alone.values[0]))
@@ -297,7 +297,7 @@ def test_a_model_that_the_cards_cannot_simulate_is_refused(change: Callable[[Any
     change(spec)
     model = spec.compile()
     with pytest.raises(SimulationError, match=f"^{why}; take the engine 'cpu'$"):
-        GpuEngine(model, PENDULUM.edits.upon(model), PENDULUM.input_spec, False, ["cpu"])
+        GpuEngine(model, PENDULUM.edits.upon(model), PENDULUM.input_spec, False, DEVICES)
 
 
 def test_variants_begin_with_the_buffers_that_proved_large_enough() -> None:
