@@ -111,6 +111,7 @@ class CauseMaker:
             clean += [
                 *(self.commands[..., dof].sum(axis=1), self.found.forces.given[:, dof]),
                 *(motion.qvel[:, dof], way[:, dof], q, np.sin(q), np.cos(q)),
+                np.abs(self.found.forces.given[:, dof]) * way[:, dof],
             ]
         columns = np.stack(clean, axis=1)
         columns /= np.maximum(np.abs(columns).max(axis=0), 1e-12)

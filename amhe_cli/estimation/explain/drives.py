@@ -23,7 +23,7 @@ from amhe_cli.estimation.explain.candidate import (
 )
 from amhe_cli.estimation.explain.joints import limits_of
 from amhe_cli.estimation.explain.regression import memory_of
-from amhe_cli.estimation.explain.unexplained import accelerations, scale_of
+from amhe_cli.estimation.explain.unexplained import scale_of
 from amhe_cli.system.model.elements import commanded, driven_joint, inputs_of
 
 #: Quantiles of the speed that a servo's target may not exceed.
@@ -137,10 +137,10 @@ def _slewed(target: FloatArray, start: FloatArray, step: float) -> FloatArray:
 
 def _replaced(maker: CauseMaker, dof: int, now: FloatArray, *columns: FloatArray) -> FloatArray:
     """Coefficients of columns of force that would best be there in place of one force, shape (m,)."""
-    found, dofs = maker.found, list(maker.motion.dofs)
+    found = maker.found
     values = np.zeros((len(columns) + 1, len(maker.time), maker.model.nv))
     values[..., dof] = (now, *columns)
-    moved = accelerations(found.forces.mass[found.rows], maker.spread(values)[1], dofs)
+    moved = found.made_by(maker.spread(values)[1])
     residual, slopes = found.residual[found.rows], found.slopes[:, found.rows]
     known = np.concatenate([moved[1:], slopes]).reshape(len(columns) + len(slopes), -1)
     prior = np.r_[np.zeros(len(columns)), np.ones(len(slopes))] * (residual**2).mean()
@@ -187,9 +187,7 @@ def prior_causes(maker: CauseMaker) -> Iterator[Cause]:
         own = tuple(d for d, moved in zip(dofs, np.abs(slopes).max(axis=0), strict=True) if moved)
         if parameter.owner or not own or not fields.get(parameter.name, _INERT).isdisjoint(_INERT):
             continue
-        force = np.zeros((1, len(slopes), maker.model.nv))
-        mass = found.forces.mass[found.rows][:, dofs][:, :, dofs]
-        force[0][:, dofs] = np.einsum("nij,nj->ni", mass, slopes)
+        force = found.behind(slopes)[None]
 
         def wanted(c: FloatArray, parameter=parameter, scale: float = scale) -> float:  # type: ignore[no-untyped-def]
             """Beside it, a fit of the slope rests at the prior's own value."""

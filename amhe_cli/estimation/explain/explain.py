@@ -17,7 +17,7 @@ from amhe_cli.estimation.explain.inputs import mended
 from amhe_cli.estimation.explain.joints import joint_causes
 from amhe_cli.estimation.explain.regression import DOUBT, CauseColumns, Regression, blocks_of, memory_of
 from amhe_cli.estimation.explain.twin import twins
-from amhe_cli.estimation.explain.unexplained import Unexplained, accelerations, stepped, unexplained
+from amhe_cli.estimation.explain.unexplained import Unexplained, stepped, unexplained
 from amhe_cli.system.system import System
 
 #: Logs put right whose forces are looked at; steps of the values, and the last of them, in prior sd.
@@ -55,7 +55,8 @@ def explain(system: System, parts: Sequence[Window], z: FloatArray, rng: np.rand
         mending = {id(part.log): one.mend(part.log) for part in parts}
         put = [replace(part, log=mending[id(part.log)]) for part in parts]
         again = forced(system, put, 0.0 * z, rng, TURNS)
-        if again.left < best.left:
+        more = LIKE if len(again.rows) >= len(best.rows) else 1.0  # a row that needs others is no simpler
+        if again.left * more < best.left:
             alike = [two.text for two in wrong if two is not one and two.left < LIKE * one.left]
             rows = [MissingRow(one.kind, one.place, one.text, one.share, tuple(alike))]
             best = replace(again, start=best.start)
@@ -91,12 +92,12 @@ def _forced(
     dofs, maker = list(found.motion.dofs), CauseMaker(system, found)
     tried = (*joint_causes(maker), *drive_causes(maker), *prior_causes(maker))
     candidates = [cause for cause in tried if cause.dofs]
-    mass, made = found.forces.mass[found.rows], _regression(found)
+    made = _regression(found)
     counts = 1.0 if found.counts is None else found.counts[found.rows]
     columns = [
         CauseColumns(
             tuple(dofs.index(d) for d in c.dofs),
-            accelerations(mass, c.force, dofs) * counts,
+            found.made_by(c.force) * counts,
             len(c.force) + (c.kind in SEARCHED),
             c.most,
             c.least,
@@ -105,7 +106,7 @@ def _forced(
         for c in candidates
     ]
     chosen, chance, left, fit = made.ladder(columns, rng, lambda: _own_error(system, parts, z, found, rng))
-    rows = []
+    rows, force = [], found.behind(left)
     for one in chosen:
         cause, own = candidates[one.index], candidates[one.index].dofs[0]
         explained = np.tensordot(one.coefficients, cause.force[..., own], 1)
@@ -121,7 +122,7 @@ def _forced(
                 float(np.clip(one.share, 0.0, 1.0)),
                 tuple(rivals),
                 cause.repair(one.coefficients, one.sd) if cause.repair else {},
-                (*cause.against(), _force(mass, left, dofs)[:, own] + explained, explained),
+                (*cause.against(), force[:, own] + explained, explained),
             )
         )
     moved = found.moved
@@ -172,10 +173,3 @@ def _own_error(
         return np.zeros(found.residual.shape[1])
     like = np.minimum(found.moved / own.moved, 1.0)  # a twin may move more, and is then no scale
     return like * (_regression(own).left ** 2).mean(axis=0)
-
-
-def _force(mass: FloatArray, acceleration: FloatArray, dofs: Sequence[int]) -> FloatArray:
-    """Force (n, nv) behind accelerations (n, k) of some degrees of freedom."""
-    found = np.zeros(mass.shape[:2])
-    found[:, dofs] = np.einsum("nij,nj->ni", mass[:, dofs][:, :, dofs], acceleration)
-    return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -21,7 +22,7 @@ _STEP = 1e-3
 _STILL = 0.02
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Unexplained:
     """What is missing of the measured motion, where nothing touches.
 
@@ -51,6 +52,26 @@ class Unexplained:
         return np.asarray(
             (self.motion.filtered(self.motion.qacc)[self.rows][:, self.motion.dofs] ** 2).mean(axis=0)
         )
+
+    @cached_property
+    def _mass(self) -> FloatArray:
+        """The mass matrix of the measured degrees of freedom at the rows that count, shape (r, k, k)."""
+        return _of(self.forces.mass[self.rows], self.motion.dofs)
+
+    @cached_property
+    def _inverse(self) -> FloatArray:
+        return np.asarray(np.linalg.inv(self._mass), dtype=np.float64)
+
+    def made_by(self, force: FloatArray) -> FloatArray:
+        """Accelerations (..., r, k), at the rows that count, that forces (..., r, nv) make."""
+        own = force[..., list(self.motion.dofs)]
+        return np.asarray(np.einsum("nij,...nj->...ni", self._inverse, own))
+
+    def behind(self, acceleration: FloatArray) -> FloatArray:
+        """Forces (r, nv) behind accelerations (r, k), at the rows that count."""
+        found = np.zeros((len(acceleration), self.forces.mass.shape[1]))
+        found[:, list(self.motion.dofs)] = np.einsum("nij,nj->ni", self._mass, acceleration)
+        return found
 
     @property
     def stretches(self) -> list[slice]:
@@ -140,8 +161,11 @@ def apart_in(system: System, logs: Sequence[Log], motion: DrivenMotion, theta: F
 
 def accelerations(mass: FloatArray, force: FloatArray, dofs: Sequence[int]) -> FloatArray:
     """What forces (..., n, nv) make of measured degrees of freedom, shape (..., n, k)."""
-    own = mass[:, list(dofs)][:, :, list(dofs)]
-    return np.einsum("nij,...nj->...ni", np.linalg.inv(own), force[..., list(dofs)])
+    return np.einsum("nij,...nj->...ni", np.linalg.inv(_of(mass, dofs)), force[..., list(dofs)])
+
+
+def _of(mass: FloatArray, dofs: Sequence[int]) -> FloatArray:
+    return mass[:, list(dofs)][:, :, list(dofs)]
 
 
 def missing(motion: DrivenMotion, found: Forces) -> FloatArray:
