@@ -113,11 +113,16 @@ class Inputs:
             ConfigError: The model cannot be read, or nothing in the logs is a part of it.
             LogError: A log cannot be read.
         """
+        import logging
+
+        from amhe_cli.core.errors import NOTE
         from amhe_cli.init.folder import init_system
 
         path = model_file(model)
         urdf = urdf_options(path, meshes)
-        init_system(path, logs, folder, msg_path=self.msg_path, force=True, urdf=urdf)
+        made = init_system(path, logs, folder, msg_path=self.msg_path, force=True, urdf=urdf)
+        for note in made.notes:
+            logging.getLogger(__name__).log(NOTE, "%s", note)
         return replace(self, system=str(folder))
 
 

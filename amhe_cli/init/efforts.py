@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import AmheError
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
@@ -31,6 +32,10 @@ _FRICTION, _ZERO = 0.05, 0.03
 _LINK = 0.2
 #: Bounds, and sd of 1, of the last link that moves: it has all beyond it, and a tool that the model lacks.
 _FAR = 4.0
+#: Armature of a drive whose model has none: two sd, as a share of the largest inertia that the joint moves.
+_GEARED = 0.3
+#: Poses in which that is looked for.
+_POSES = 30
 #: Seconds of a log that show the torques' ranges.
 _SECONDS = 60.0
 #: A joint that moves less than this in them stands still [rad or m].
@@ -128,6 +133,23 @@ def _beyond(model: mujoco.MjModel, body: int, link: int) -> bool:
     return False
 
 
+def largest_inertias(model: mujoco.MjModel) -> FloatArray:
+    """The inertia that each dof moves, where it is largest (nv,): an arm that points up turns little.
+
+    No less than the usual one: the drives of a wrist are heavier than what they move.
+    """
+    data, found = mujoco.MjData(model), model.dof_M0.copy()
+    low, high = np.where(model.jnt_limited[:, None], model.jnt_range, [-np.pi, np.pi]).T
+    hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
+    matrix, rng = np.empty((model.nv, model.nv)), np.random.default_rng(0)
+    for _ in range(_POSES):
+        data.qpos[model.jnt_qposadr[hinges]] = rng.uniform(low, high)[hinges]
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fullM(model, data, matrix)
+        found = np.maximum(found, matrix.diagonal())
+    return np.maximum(found, np.median(found))
+
+
 def effort_parameters(model: mujoco.MjModel, ranges: Mapping[str, float]) -> Iterator[Guess]:
     """Inertia of each link, and friction, armature and the torque sensor's zero of each joint.
 
@@ -146,12 +168,13 @@ def effort_parameters(model: mujoco.MjModel, ranges: Mapping[str, float]) -> Ite
                 known = {"bounds": [-_FAR, _FAR], "prior_sd": 1.0}
             entry = known | {"targets": [{"body": name, "set": "pseudo_inertia"}]}
             yield Guess(f"{name}_inertia", entry, f"mass, centre and inertia of {name}: ten numbers")
+    largest = largest_inertias(model)
     for joint, extent in ranges.items():
         for kind, field, meaning in KINDS:
             dof = int(model.joint(joint).dofadr[0])
             size = _FRICTION * extent
             if kind == "armature":  # that of the model is not felt by a sensor behind the gear
-                size = 0.5 * float(getattr(model, field)[dof] or 0.1 * model.dof_M0[dof])
+                size = 0.5 * float(getattr(model, field)[dof] or _GEARED * largest[dof])
             entry = linear_entry(0.5 * size, (0.0, 20.0 * size), short(size), {"joint": joint, "set": kind})
             source = "model" if kind == "armature" else "guess"
             why = f"{meaning}, of joint {joint}; linear, as it may be 0"

@@ -18,6 +18,7 @@ from amhe_cli.core.bundled import bundled_logs, bundled_models, bundled_root
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
+from amhe_cli.init.efforts import largest_inertias
 from amhe_cli.init.folder import _topics, init_system
 from amhe_cli.init.names import is_command, joint_paths, matched, names_the_same
 from amhe_cli.init.parameters import guess_parameters
@@ -717,3 +718,15 @@ def test_columns_of_a_pose_are_those_of_the_free_body(columns: str, tmp_path: Pa
     found = [*signal["columns"]["position"], *signal["columns"]["orientation"]]
     assert [name[-1] for name in found] == list("xyzwxyz")
     assert set(found) == set(names)
+
+
+def test_armatures_of_an_arm_that_points_up_are_of_the_size_of_what_it_turns_when_stretched() -> None:
+    links = "".join(
+        f'<body pos="0 0 {0.3 * bool(row)}"><joint axis="{axis}"/>'
+        '<geom type="capsule" fromto="0 0 0 0 0 0.3" size="0.02" mass="2"/>'
+        for row, axis in enumerate(("0 0 1", "0 1 0", "0 1 0"))
+    )
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{links}{'</body>' * 3}</worldbody></mujoco>")
+    base, shoulder, elbow = largest_inertias(model)
+    assert model.dof_M0[0] < 0.002 < 0.2 < base <= shoulder == pytest.approx(model.dof_M0[1])
+    assert elbow == pytest.approx(base), "drives of a wrist are no lighter than the usual one"
