@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -143,6 +145,23 @@ def test_all_modules_that_a_step_needs_are_loaded_side_by_side(monkeypatch: pyte
         mjw.step(model, data)
     assert set(loaded) == together
     assert data.time.numpy().all()
+
+
+def test_arrays_of_a_card_are_made_on_that_card() -> None:
+    """CuPy's current device is the first one in each thread: the stream of another one would be refused."""
+    entered = []
+
+    @contextmanager
+    def entering(what: str, which: int) -> Iterator[None]:
+        entered.append((what, which))
+        yield
+
+    stream = SimpleNamespace(from_external=partial(entering, "stream"))
+    worlds: Any = object.__new__(Worlds)
+    worlds._device = SimpleNamespace(is_cuda=True, ordinal=1, stream=7)
+    worlds._xp = SimpleNamespace(cuda=SimpleNamespace(Device=partial(entering, "device"), Stream=stream))
+    with worlds.stream():
+        assert entered == [("device", 1), ("stream", 7)]
 
 
 def test_several_cards_share_a_prediction(monkeypatch: pytest.MonkeyPatch) -> None:
