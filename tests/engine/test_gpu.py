@@ -21,7 +21,7 @@ import warp as wp
 import amhe_cli as amhe
 from amhe_cli.cli.main import run
 from amhe_cli.core.arrays import to_host
-from amhe_cli.core.errors import SimulationError
+from amhe_cli.core.errors import NOTE, SimulationError
 from amhe_cli.engine.auto import FEWEST, StepCost
 from amhe_cli.engine.gpu import card
 from amhe_cli.engine.gpu import engine as engine_module
@@ -122,8 +122,12 @@ def test_no_clip_waits_to_save_worlds_that_a_card_steps_anyway() -> None:
     assert queues(lengths[:3], few, dear).tolist() == [[0, -1], [2, 1]], "no longer than the longest"
 
 
-def test_all_modules_that_a_step_needs_are_loaded_side_by_side(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A first launch without effect finds them; a second one loads nothing more."""
+def test_all_modules_that_a_step_needs_are_loaded_side_by_side(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A first launch without effect finds them; a second one loads nothing more. Compiling is said once."""
+    monkeypatch.setattr("amhe_cli.engine.gpu.worlds._compiled", lambda *about: False)
+    caplog.set_level(NOTE, "amhe_cli")
     blueprint = Blueprint.of(CUBE.model, CUBE.edits, CUBE.input_spec, False)
     model, data = mjw.put_model(blueprint.model), mjw.make_data(blueprint.model, nworld=16)
     kind, loaded = type(wp.get_module("any")), []
@@ -141,6 +145,7 @@ def test_all_modules_that_a_step_needs_are_loaded_side_by_side(monkeypatch: pyte
     load_together(device, lambda: mjw.step(model, data))
     assert not data.time.numpy().any()
     assert len(together := set(loaded)) > 10
+    assert caplog.text.count("kernels of the graphics card compile, once") == 1
     with wp.ScopedDevice(device):
         mjw.step(model, data)
     assert set(loaded) == together

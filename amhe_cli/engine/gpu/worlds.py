@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from threading import Lock, get_native_id
 from typing import Any
 
@@ -19,6 +20,7 @@ import numpy as np
 import warp as wp
 
 from amhe_cli.core.arrays import AnyArray, BoolArray, FloatArray, IntArray
+from amhe_cli.core.errors import NOTE
 from amhe_cli.engine.gpu import kernels
 from amhe_cli.engine.gpu.blueprint import Blueprint, Room
 from amhe_cli.engine.gpu.job import Job
@@ -77,9 +79,24 @@ def load_together(device: Any, launches: Callable[[], object]) -> None:
         logger.debug("not all kernels can be loaded side by side: %s", error)
     finally:
         kind.load = load
+    said = []
+
+    def load_or_compile(module: Any, block_dim: int) -> None:
+        if not _compiled(module, block_dim) and not said:
+            said.append(module)
+            logger.log(
+                NOTE, "kernels of the graphics card compile, once for each kind of model: a minute or less"
+            )
+        load(module, device, block_dim)
+
     with ThreadPoolExecutor(os.cpu_count(), initializer=_stand_back) as threads:
         for module, block_dim in needed:
-            threads.submit(load, module, device, block_dim)
+            threads.submit(load_or_compile, module, block_dim)
+
+
+def _compiled(module: Any, block_dim: int) -> bool:
+    """Whether warp keeps a module's code on disk."""
+    return Path(str(wp.config.kernel_cache_dir), module.get_module_identifier(block_dim)).is_dir()
 
 
 def _stand_back() -> None:
