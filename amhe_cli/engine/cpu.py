@@ -169,38 +169,45 @@ class CpuEngine:
         self, batch: mujoco.batch.Batch, ids: IntArray, control: FloatArray, record: list[str]
     ) -> dict[str, FloatArray]:
         """Records of some rollouts: in one piece, or in pieces between which friction changes."""
+        every_one = len(ids) == batch.nsim
+        some = slice(None) if every_one else ids  # a view of all is quicker than a copy
+        rows = None if every_one else ids.astype(np.int32)
 
-        def run(inputs: FloatArray) -> dict[str, FloatArray]:
+        def run(inputs: FloatArray, out: dict[Any, FloatArray] | None = None) -> dict[str, FloatArray]:
             return batch.rollout(
                 inputs.shape[1],
                 control=inputs if inputs.shape[2] else None,
                 control_spec=self._input_spec,
                 record=record,
-                ids=ids,
+                ids=rows,
+                out=out,
             )
 
         if self._gear is None and self._servos is None:
             return run(control)
-        some = slice(None) if len(ids) == batch.nsim else ids  # a view of all is quicker than a copy
         every = max(1, round(UPDATE / self._model.opt.timestep))
         drive = None if self._servos is None else self._driver(self._servos, batch, some)
         hold = None if self._gear is None else self._holder(self._gear, batch, some, every)
-
-        def piece(first: int, steps: int) -> dict[str, FloatArray]:
-            if drive is not None:
-                drive(control[:, first])
-            return run(control[:, first : first + steps])
-
         if hold is not None:
             before = batch.state[some].copy()
-            piece(0, 1)  # for the forces at the start, upon which friction depends
+            if drive is not None:
+                drive(control[:, 0])
+            run(control[:, :1])  # for the forces at the start, upon which friction depends
             batch.state[some] = before
-        pieces, at_once = [], every if drive is None else 1
-        for first in range(0, control.shape[1], at_once):
+        steps, at_once = control.shape[1], every if drive is None else 1
+        made: dict[str, FloatArray] = {}
+        piece: dict[str, FloatArray] = {}
+        for first in range(0, steps, at_once):
             if hold is not None and first % every == 0:
                 hold()
-            pieces.append(piece(first, at_once))
-        return {name: np.concatenate([piece[name] for piece in pieces], axis=1) for name in record}
+            inputs = control[:, first : first + at_once]
+            if drive is not None:
+                drive(inputs[:, 0])
+            piece = run(inputs, piece if inputs.shape[1] == at_once else None)  # into the same memory
+            made = made or {name: np.empty((len(ids), steps, one.shape[2])) for name, one in piece.items()}
+            for name, one in piece.items():
+                made[name][:, first : first + at_once] = one
+        return made
 
     def _driver(
         self, servos: Servos, batch: mujoco.batch.Batch, some: slice | IntArray
