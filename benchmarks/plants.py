@@ -40,14 +40,16 @@ class Case:
     system: amhe.System
     logs: tuple[amhe.Log, ...]
     truth: dict[str, float]
+    made: Callable[[dict[str, Any]], amhe.System] | None = None
+
+    def told(self, **identify: Any) -> Case:
+        """The same for a user who says more in `settings: identify:`."""
+        assert self.made is not None, "the problem says how its system is made"
+        return replace(self, system=self.made(SMALL | {"identify": SMALL["identify"] | identify}))
 
     def exact(self) -> Case:
         """The same for a user who has measured what the model takes as exact."""
-        settings = self.system.settings
-        identify = settings.identify.model_copy(update={"assumed": AssumedSettings.model_validate(0)})
-        return replace(
-            self, system=replace(self.system, settings=settings.model_copy(update={"identify": identify}))
-        )
+        return self.told(assumed=AssumedSettings.model_validate(0).model_dump())
 
 
 @dataclass(frozen=True)
@@ -169,12 +171,14 @@ def case(
         name: {"nominal": value, "prior_sd": PRIOR, "scale": "log", "targets": target}
         for (name, value), target in zip(nominal.items(), targets, strict=True)
     }
-    spec = mujoco.MjSpec.from_string(xml)
-    system = amhe.System.from_model(
-        spec, parameters=parameters, signals=signals, settings=SMALL, name="robot", warn=False
-    )
+
+    def made(settings: dict[str, Any]) -> amhe.System:
+        spec, more = mujoco.MjSpec.from_string(xml), {"parameters": parameters, "signals": signals}
+        return amhe.System.from_model(spec, **more, settings=settings, name="robot", warn=False)
+
+    system = made(SMALL)
     logs = (amhe.Log.from_arrays(a, system, name=f"log {i}") for i, a in enumerate(arrays))
-    return Case(system, tuple(logs), truth)
+    return Case(system, tuple(logs), truth, made)
 
 
 # -- a servo that swings a load ----------------------------------------------------------------------------
