@@ -6,7 +6,7 @@
 For each plant free walking is recorded and the robot identified; then each task runs, without and with that
 robot. `--strangers N` adds robots that are drawn at random, with several differences at once, some of them
 no unknowns (feet that sink, heavier legs, soles): `s0`, `s1`, ... `--try JSON` repeats all runs under other
-settings, such as '{"control": {"samples": 5}}' or '{"insisting": {"window": 0.5}}'.
+settings, such as '{"control": {"samples": 5}}'.
 Each result is a line of JSON on the standard output, so that a run that was cut can go on from what it
 printed; a table follows them.
 """
@@ -19,7 +19,6 @@ import os
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import suppress
-from functools import partial
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -37,8 +36,6 @@ from amhe_cli.core.yaml_file import merged
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.estimation.design.probe import ProbeOptions
 from amhe_cli.logs import read_log
-from amhe_cli.robots.go1.behaviours import walking
-from amhe_cli.robots.go1.behaviours.walking import Insisting
 from amhe_cli.robots.go1.judge import History, run_record
 from amhe_cli.robots.go1.kinematics import KINDS
 from amhe_cli.robots.go1.model import FOOT_FRICTION
@@ -102,8 +99,9 @@ def main() -> None:
     parser.add_argument("--plants", default=",".join(p for p in PLANTS if p[1:].isalpha()))
     parser.add_argument("--strangers", default="0", help="how many, or from A to below B: A:B")
     parser.add_argument("--tasks", default="t1,t2,t4", help="'' for none")
-    parser.add_argument("--modes", default="true,adaptive")
-    parser.add_argument("--robot", default="unknown,walk,weighed")
+    parser.add_argument(
+        "--modes", default="true-weighed,adaptive-weighed,adaptive-unknown", help="each with what is known"
+    )
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--try", dest="tried", action="append", default=[], metavar="JSON")
     parser.add_argument("--workers", type=int, default=os.cpu_count())
@@ -111,15 +109,19 @@ def main() -> None:
     given = parser.parse_args()
     first, _, last = given.strangers.rpartition(":")
     strangers = [f"s{number}" for number in range(int(first or 0), int(last))]
-    plants, tasks, modes, known = (
-        [word for word in text.split(",") if word]
-        for text in (given.plants, given.tasks, given.modes, given.robot)
+    plants, tasks, modes = (
+        [word for word in text.split(",") if word] for text in (given.plants, given.tasks, given.modes)
     )
     done = list(read(given.done))
     for record in done:
         print(json.dumps(record))
-    cells = product(plants, tasks, modes, known, range(given.seeds), ["", *given.tried])
-    for record in made(done, [*plants, *strangers], list(cells), given.workers):
+    cells: list[Cell] = [  # a run that is cut has a seed of everything first
+        (plant, task, *mode.split("-"), seed, tried)
+        for seed, tried, mode, task, plant in product(
+            range(given.seeds), ["", *given.tried], modes, tasks, [*plants, *strangers]
+        )
+    ]
+    for record in made(done, [*plants, *strangers], cells, given.workers):
         print(json.dumps(record), flush=True)
         done.append(record)
     show_robots([record for record in done if "robot" in record])
@@ -196,7 +198,6 @@ def run_cell(cell: Cell, robot: dict[str, Any] | None) -> dict[str, Any]:
     plant, task, mode, known, seed, tried = cell
     settings = {"parameters": robot[known]} if robot and known != "unknown" else {}
     settings = merged(settings, json.loads(tried or "{}"))
-    walking.Insisting = partial(Insisting, **settings.pop("insisting", {}))  # type: ignore[misc]
     run = open_run(RunOptions(task, mode, seed=seed, plant=plant, settings=settings))
     history, ending = History(run.task), Ending()
     try:
@@ -244,10 +245,12 @@ def _inside(history: History) -> dict[str, bool]:
     if not history.estimates:
         return {}
     belief = history.estimates[-1].belief
-    phi = np.where(belief.log, np.log(belief.estimate), belief.estimate)
-    true = np.array([history.truth.get(name, np.nan) for name in belief.names])
-    far = np.abs(np.where(belief.log, np.log(true), true) - phi) <= Z90 * np.sqrt(np.diag(belief.covariance))
-    return dict(zip(belief.names, map(bool, far), strict=True))
+    sd = np.sqrt(np.diag(belief.covariance))
+    rows = zip(belief.names, belief.log, belief.estimate, sd, strict=True)
+    shown = ((name, (np.log if log else float), value, one) for name, log, value, one in rows)
+    return {
+        name: bool(abs(of(history.truth[name]) - of(value)) <= Z90 * one) for name, of, value, one in shown
+    }
 
 
 def show_robots(robots: list[dict[str, Any]]) -> None:

@@ -22,7 +22,7 @@ from tests.web.figures import panels
 
 LOGS = bundled_root() / "examples" / "logs"
 PENDULUM = str(LOGS / "pendulum.mcap")
-NAMES = ("box_mass", "box_inertia_scale", "floor_friction")
+NAMES = ("box_mass", "box_inertia_scale", "floor_friction", "face_overlap", "floor_overlap")
 
 
 @pytest.fixture(scope="module")

@@ -118,7 +118,6 @@ def planner_model(box: Box = Box(), timestep: float = 0.01) -> mujoco.MjModel:
     spec.option.timestep = timestep
     spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
     spec.option.impratio, spec.option.iterations = 1.0, 10  # cheap solver options
-    spec.delete(spec.pair("head_box"))  # 6 mm before the upper bar: a plan can ignore it
     for name in JOINTS:
         spec.joint(name).frictionloss = 0.0
     _set_box(spec, box)

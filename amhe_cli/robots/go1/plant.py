@@ -163,6 +163,7 @@ class Plant:
         noise: Noise of the sensors.
         start: Initial qpos, shape (nq,); None: `home`.
         shape: What of another plant is no number of the model: latency, zeros, friction under load.
+        face: Axis of the box along which it is pushed.
     """
 
     def __init__(
@@ -173,11 +174,14 @@ class Plant:
         noise: SensorNoise = _NOISE,
         start: FloatArray | None = None,
         shape: PlantShape = PLANTS["ours"],
+        face: int = 0,
     ) -> None:
         self.model, self._data, self._at = model, mujoco.MjData(model), layout(model)
         self._pending, self._rng, self._noise = list(changes), rng, noise
         self._pose_every = max(1, round(noise.pose_period / model.opt.timestep))
         self._uniform_inertia = self._inertia_per_mass()
+        overlap = model.geom("box").size * (1.0 / np.array(shape.box) - 1.0)
+        self._overlap = {"face_overlap": float(overlap[face]), "floor_overlap": float(overlap[2])}
         self._data.qpos[:] = home(model) if start is None else start
         self._shape, self._friction = shape, np.array(model.dof_frictionloss[self._at.joints_v])
         self._waiting: deque[tuple[float, FloatArray]] = deque()
@@ -217,6 +221,7 @@ class Plant:
             "box_mass": float(self.model.body("box").mass[0]),
             "box_inertia_scale": self._inertia_per_mass() / self._uniform_inertia,
             "floor_friction": float(self.model.pair(FLOOR_PAIR).friction[0]),
+            **self._overlap,
         }
 
     def advance(self, targets: FloatArray, duration: float) -> Samples:

@@ -229,7 +229,7 @@ def open_run(options: RunOptions, task: Task | None = None) -> Run:
     shape, robot = find_plant(options.plant)
     model = shaped_plant(_moved(task, start), shape, robot)
     first = _start(home(model), layout(model).trunk, start)
-    plant = Plant(model, task.changes, sensors, start=first, shape=shape)
+    plant = Plant(model, task.changes, sensors, start=first, shape=shape, face=int(task.one_leg))
     target = SimTarget(plant, settings.period, HOME, settings.realtime, latency_of(system))
     return run_on(options, task, system, target, plant, samples, options.threads)
 

@@ -64,10 +64,9 @@ def _touching_box(model: mujoco.MjModel) -> set[str]:
     return {model.geom(g).name.removeprefix("robot/") for g in geoms if model.geom_bodyid[g] == trunk}
 
 
-def test_the_planner_leaves_out_what_only_an_estimate_needs() -> None:
+def test_the_planner_solves_cheaply() -> None:
     planner = planner_model()
     assert (planner.opt.impratio, planner.opt.iterations) == (1.0, 10)
-    assert planner.npair == 15
 
 
 def test_planner_and_plant_fly_alike() -> None:

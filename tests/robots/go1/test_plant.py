@@ -165,9 +165,13 @@ def test_noise_does_not_move_the_plant() -> None:
     np.testing.assert_array_equal(*ends)
 
 
+#: A box of the size that is stated.
+AS_STATED = {"face_overlap": 0.0, "floor_overlap": 0.0}
+
+
 def test_changes_come_once_and_the_true_parameters_follow() -> None:
     changing = plant(Change(mass=6.0, at_time=0.05), Change(floor_friction=0.8, at_time=0.1))
-    first = {"box_mass": 4.0, "box_inertia_scale": 1.0, "floor_friction": 0.4}
+    first = {"box_mass": 4.0, "box_inertia_scale": 1.0, "floor_friction": 0.4} | AS_STATED
     assert changing.parameters == pytest.approx(first)
     changing.advance(HOME, 0.048)
     assert changing.parameters == pytest.approx(first)
@@ -224,6 +228,15 @@ QUIET = SensorNoise(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 def a_plant(shape: PlantShape) -> Plant:
     return Plant(shaped_plant(Box(), shape), (), np.random.default_rng(0), QUIET, shape=shape)
+
+
+def test_a_box_of_another_size_is_as_much_ahead_and_above_the_stated_one() -> None:
+    """The crate is 0.33 x 0.475 x 0.315 m, of stated 0.3 x 0.5 x 0.3."""
+    crate = a_plant(PLANTS["crate"]).parameters
+    assert (crate["face_overlap"], crate["floor_overlap"]) == pytest.approx((-0.015, -0.0075))
+    model = shaped_plant(Box(), PLANTS["crate"])
+    aside = Plant(model, (), np.random.default_rng(0), QUIET, shape=PLANTS["crate"], face=1)
+    assert aside.parameters["face_overlap"] == pytest.approx(0.0125)
 
 
 def known(**values: float) -> dict[str, object]:
@@ -293,7 +306,13 @@ def test_nobody_knows_the_robot_unless_told() -> None:
     system = system_of(RunOptions("t1"), find_task("t1"))
     assert gait_of(system) == Gait()
     assert latency_of(system) == 0.0
-    assert system.space.names == ("box_mass", "box_inertia_scale", "floor_friction")
+    assert system.space.names == (
+        "box_mass",
+        "box_inertia_scale",
+        "floor_friction",
+        "face_overlap",
+        "floor_overlap",
+    )
     robot = system_of(RunOptions("t1", settings={"unknowns": ["robot"]}), find_task("t1"))
     assert "motor_gain" in robot.space.names and "box_mass" not in robot.space.names
 

@@ -198,8 +198,8 @@ class Helm:
             box_yaw=heading,
         )
 
-    def reference(self, state: State) -> Reference:
-        """What the controller is to do now."""
+    def reference(self, state: State, overlap: float = 0.0) -> Reference:
+        """What the controller is to do now, if the box's face is so far behind its stated place [m]."""
         place, s = self._path.place(state.box.position[:2]), self._steering
         path = self._on_path(state, place)
         normal = np.array([-np.sin(path.heading), np.cos(path.heading)])
@@ -220,7 +220,7 @@ class Helm:
             box_yaw=heading,
             offset=offset,
         )
-        gap, left = self.gap(state)
+        gap, left = self.gap(state, overlap)
         self._judge(gap, left - offset, left, float(wrapped(yaw_of(state.trunk.orientation) - box_yaw)))
         if self.retreating:
             speed = -self._retreat.speed if gap < self._retreat.clear else 0.0
@@ -241,10 +241,10 @@ class Helm:
             return 0.0
         return (1.0 + self._pacing.share) * max(s.lead * commanded, s.creep)
 
-    def gap(self, state: State) -> tuple[float, float]:
+    def gap(self, state: State, overlap: float = 0.0) -> tuple[float, float]:
         """Distance from bumper to the box's face, and the bumper's middle left of the box's [m]."""
         ahead, left = bumper_from_box(state.trunk, state.box)
-        return -self._half_length - float(ahead), float(left)
+        return overlap - self._half_length - float(ahead), float(left)
 
     def _judge(self, gap: float, misplaced: float, left: float, turn: float) -> None:
         """Enter or leave the retreat."""
@@ -383,7 +383,7 @@ class Walking:
 
     def move(self, state: State, belief: Mapping[str, float]) -> WalkMove:
         """See `Behaviour`."""
-        at = self.helm.reference(state)
+        at = self.helm.reference(state, belief.get("face_overlap", 0.0))
         at = replace(at, speed=at.speed * min(1.0, state.time / self.gains.start_time))
         command = self._command(state, at, box_friction(belief))
         drift = heading_velocity(state.trunk)[1] - command[1]
@@ -400,6 +400,9 @@ class Walking:
         g = self.gains
         _, left = bumper_from_box(state.trunk, state.box)
         sideways = np.clip(g.left * (at.offset - left), -g.left_limit, g.left_limit)
+        # on a curve, what turns flush with the box goes aside as fast as it is behind the box's middle
+        behind = np.linalg.norm((state.box.position - state.trunk.position)[:2])
+        sideways -= at.pushing * at.turn * behind
         turn = at.turn + g.yaw * wrapped(at.yaw - yaw_of(state.trunk.orientation))
         push = at.pushing * (1.0 + at.harder) * resistance * np.clip(at.speed / g.full_push, 0.0, 1.0)
         return np.array([at.speed, sideways, np.clip(turn, -g.yaw_limit, g.yaw_limit), push])

@@ -123,12 +123,12 @@ class ScoreHelm(Helm):
         super().__init__(path, SPEED, TAPER, half_length, half_width)
         self._score = score
 
-    def reference(self, state: State) -> Reference:
+    def reference(self, state: State, overlap: float = 0.0) -> Reference:
         """What the controller is to do now; a lost face is found again first."""
-        at, phase = super().reference(state), self._score.at(state.time)
+        at, phase = super().reference(state, overlap), self._score.at(state.time)
         if self.retreating:
             return at
-        gap, _ = self.gap(state)
+        gap, _ = self.gap(state, overlap)
         speed = min(phase.speed, FASTEST)
         at = replace(
             at, speed=speed, harder=0.0, pushing=float(gap < self._steering.touching and speed > 0.0)
@@ -171,7 +171,7 @@ _STROLL = (
 class Stroll(Helm):
     """Walks back and ahead and turns, away from the box, which nothing touches."""
 
-    def reference(self, state: State) -> Reference:
+    def reference(self, state: State, overlap: float = 0.0) -> Reference:
         """See `Helm`."""
         seconds, speeds, turns = np.array(_STROLL).T
         time, ends = state.time % seconds.sum(), np.cumsum(seconds)

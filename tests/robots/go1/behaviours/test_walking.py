@@ -14,7 +14,15 @@ from amhe_cli.core import rotations
 from amhe_cli.core.rotations import yaw_of
 from amhe_cli.robots.go1.behaviours.gait import Gait, neutral_feet, walk
 from amhe_cli.robots.go1.behaviours.objective import BUMPER, Course, Reference, wrapped
-from amhe_cli.robots.go1.behaviours.walking import Helm, Insisting, Pacing, Retreat, Steering, Stepping
+from amhe_cli.robots.go1.behaviours.walking import (
+    Helm,
+    Insisting,
+    Pacing,
+    Retreat,
+    Steering,
+    Stepping,
+    Walking,
+)
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.model import Box, home, layout, plant_model
 from amhe_cli.robots.go1.state import Body, State
@@ -59,6 +67,23 @@ def test_on_the_line_it_goes_straight_on() -> None:
     assert at.speed >= SPEED
     assert at.time == 5.0
     assert at.origin[1] == pytest.approx(0.0)
+
+
+def test_a_box_that_is_larger_than_stated_is_touched_earlier() -> None:
+    larger = along(LINE, 1.0, gap=0.02)
+    assert helm().reference(larger).pushing == 0.0
+    assert helm().reference(larger, overlap=-0.02).pushing == 1.0
+
+
+def test_on_a_curve_it_steps_aside_as_a_part_of_the_box_would() -> None:
+    """Trunk and box turn about the path's centre as one body: v + omega x r."""
+    for path in (LINE, ARC):
+        state = along(path, 1.0)
+        move = Walking(helm(path)).move(state, {"box_mass": 4.0, "floor_friction": 0.4})
+        behind = np.linalg.norm(state.box.position - state.trunk.position)
+        steering = max(move.reference.offset, -0.08)  # it pushes beside the middle, to turn the box
+        assert move.command[1] == pytest.approx(steering - move.reference.turn * behind, abs=1e-12)
+    assert move.command[1] < steering - 0.05
 
 
 def test_what_the_task_asks_for_is_the_path_and_its_speed() -> None:
