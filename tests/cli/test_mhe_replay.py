@@ -62,14 +62,15 @@ def test_result_json_has_the_keys_of_every_command_and_its_own(pushed: Path) -> 
     assert {"estimate", "sd", "lower", "upper", "unit", "truth"} <= set(result["parameters"][0])
     assert result["windows"] == len(table(pushed)) == 26
     assert result["updated"] + result["still"] + result["gaps"] + result["lost"] == result["windows"]
-    assert result["rollouts"] == {"count": 9 * 26, "diverged": 0}
+    assert result["rollouts"] == {"count": 11 * 26, "diverged": 0}
     assert 0.0 < result["update_ms"]["p50"] <= result["update_ms"]["p99"]
     assert result["real_time_factor"] > 0.0
 
 
 def test_the_table_has_a_row_for_each_window(pushed: Path) -> None:
     header = list(table(pushed)[0])
-    triples = [cell for name in NAMES for cell in (name, f"{name}_sd", f"{name}_true")]
+    known = ("", "_sd", "_true"), ("", "_sd")  # the log's truth does not say where faces are
+    triples = [name + end for name in NAMES for end in known["overlap" in name]]
     assert header == ["time", *triples, "misfit", "updated", "update_ms", "mark", "excitation"]
     np.testing.assert_allclose(column(pushed, "time"), 0.4 + 0.1 * np.arange(26), atol=1e-9)
     np.testing.assert_array_equal(column(pushed, "floor_friction_true"), 0.4)
@@ -77,13 +78,15 @@ def test_the_table_has_a_row_for_each_window(pushed: Path) -> None:
 
 
 def test_a_push_is_learnt_from_and_a_walk_towards_the_box_is_not(pushed: Path) -> None:
-    """The belief waits, and grows less sure, until there is something to learn."""
-    updated, sd = column(pushed, "updated") == 1.0, column(pushed, "box_mass_sd")
-    begin = int(np.argmax(updated))
+    """A box that nobody touches shows how high it stands, and the belief of its mass waits for the push."""
+    mass, sd = column(pushed, "box_mass"), column(pushed, "box_mass_sd")
+    begin = int(np.argmax(np.abs(mass - mass[0]) > 0.1 * sd[0]))
     assert 7 <= begin <= 14
-    np.testing.assert_array_equal(column(pushed, "box_mass")[:begin], 3.0)
+    np.testing.assert_allclose(mass[:begin], 3.0, atol=0.1 * sd[0])
     assert (np.diff(sd[:begin]) > 0.0).all()
-    assert sd[-1] < 0.5 * sd[0]
+    assert sd[-1] < 0.55 * sd[0]
+    height = column(pushed, "floor_overlap_sd")
+    assert height[begin - 1] < 0.3 * 0.01
     last = {p["name"]: p for p in record(pushed)["parameters"]}
     assert last["box_mass"]["lower"] < last["box_mass"]["truth"] == 4.0 < last["box_mass"]["upper"]
 
