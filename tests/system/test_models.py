@@ -226,7 +226,8 @@ def test_it_loads_without_a_word(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
         system = System.load("go1_push")
     assert not caplog.records
-    assert system.space.names == ("box_mass", "box_inertia_scale", "floor_friction", "face_overlap", "floor_overlap")
+    box = ("box_mass", "box_inertia_scale", "floor_friction", "face_overlap", "floor_overlap")
+    assert system.space.names == box
     assert not system.senses
     topics = {signal.topic for signal in system.signals}
     assert topics == {"/joint_states", "/odom", "/box/odom", "/joint_commands"}
