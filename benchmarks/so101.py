@@ -12,7 +12,10 @@ from __future__ import annotations
 
 import argparse
 import logging
+import shutil
+import tempfile
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,6 +31,16 @@ SERVO = {
     "stribeck_friction": (0.05, 0.08, [-0.5, 1.0], "joint"),
     "punch": (0.016, 0.02, [-0.1, 0.2], "actuator"),
     "dead_band": (0.0015, 0.002, [-0.02, 0.03], "actuator"),
+}
+
+
+#: A filter of the targets, which the model needs a time constant for.
+FILTER = {
+    "filter": {
+        "nominal": 0.013,
+        "prior_sd": 0.7,
+        "targets": [{"actuator": "*", "set": "filter_time_constant"}],
+    }
 }
 
 
@@ -74,12 +87,25 @@ def systems() -> dict[str, dict[str, Any]]:
         for joint in JOINTS
         for word in ("friction_loss", "damping", "armature")
     }
+    bus = {
+        "delay": {"nominal": 0.05, "prior_sd": 0.5},
+        "damping": {"nominal": 0.1, "prior_sd": 1.0},
+        "force_limit": {
+            "nominal": 5.28,
+            "prior_sd": 0.3,
+            "targets": [{"actuator": "*", "set": "force_limit"}],
+        },
+        "kv": {"nominal": 0.1, "prior_sd": 1.0, "targets": [{"actuator": "*", "set": "actuator_damping"}]},
+        "back_emf": _linear(1.16, 0.3, [0.0, 4.0], [{"actuator": "*", "set": "back_emf"}]),
+    }
     return {
         "constant friction": {},
         "servos as built": gains | zeros | shared,
         "the same, friction joint by joint": gains | zeros | firmware | each,
         "also all other friction by joint, sag, back-EMF": gains | zeros | firmware | each | supply | dry,
         "M6 joint by joint": gains | zeros | firmware | m6,
+        "back-EMF and limit of the data sheet, longer delay": gains | zeros | firmware | each | dry | bus,
+        "the same, and a filter of targets": gains | zeros | firmware | each | dry | bus | FILTER,
     }
 
 
@@ -87,9 +113,12 @@ def trial(number: int) -> dict[str, Any]:
     """Identify with one variant."""
     logging.disable(logging.WARNING)
     name, parameters = list(systems().items())[number]
-    system = amhe.System.load(
-        PROJECT / "examples" / "systems" / "so101", {"parameters": parameters}, warn=False
-    )
+    with tempfile.TemporaryDirectory() as folder:
+        shutil.copytree(PROJECT / "examples" / "systems" / "so101", folder, dirs_exist_ok=True)
+        if "filter" in parameters:
+            scene = Path(folder) / "scene.xml"
+            scene.write_text(scene.read_text().replace("<position ", '<position timeconst="0.013" '))
+        system = amhe.System.load(folder, {"parameters": parameters}, warn=False)
     logs = [amhe.read_log(DATA / "so101" / motion, system) for motion in FITTED]
     held_out = amhe.read_log(DATA / "so101" / "figure_eight", system)
     began = time.process_time()
