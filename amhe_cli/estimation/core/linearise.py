@@ -320,11 +320,13 @@ def linearise(
         errors = first.mean + np.einsum("cij,hj->hci", first.shape, signs[:, d:])
         residuals = cost.residuals(candidates, errors if nx else None)
         odd, even, pairs = _parity(residuals, half)
-        gain = _by_coordinates(_regress(odd, pairs, steps, moves), shape, first.shape)
+        slopes, bent = _regress(odd, pairs, steps, moves), len(even)
+        gain = _by_coordinates(slopes, shape, first.shape)
         # the middle of a pair may not be z either, and its share of the even response is linear
-        bent = len(even)
         curves = even - _predicted(gain[:, :d], middles, even)
         lift, bend = _moments(curves, pairs[:, :bent])
+        if averaged:
+            gain = _by_coordinates(without_jitter(slopes, bend - lift**2, half, d), shape, first.shape)
         centre = to_host(residuals.stacked[-1])
         return Linearisation(
             cost=cost,
@@ -441,6 +443,34 @@ def _regress(
     weighted = xp.asarray(pairs[..., None] * steps)
     right = to_host(xp.einsum("chi,hcr->cir", weighted, odd, optimize=True))
     return np.linalg.solve(normal, right)
+
+
+def without_jitter(slopes: FloatArray, jitter: FloatArray, pairs: int, d: int) -> FloatArray:
+    """Slopes (c, d + nx, R) shrunk so that their squares are as large as if no residual jittered.
+
+    A slope from h pairs errs by the jitter's variance over h, and its square would count as information. In
+    A = sum of s s' / (1 + jitter) that is k = sum of jitter / (1 + jitter) / h along every direction: of an
+    eigenvalue l of A, l - k is no jitter. Slopes by z have one A of all clips, which knows their directions
+    better than each clip's own; slopes by first states have one for each clip.
+
+    Args:
+        slopes: Slopes by the coordinates w of the samples, shape (c, d + nx, R).
+        jitter: Variance of the even response, which is that of the odd one, shape (c, R).
+        pairs: Number of pairs, h.
+        d: Number of parameters.
+    """
+    weight, (of_z, of_first) = 1.0 / (1.0 + jitter), np.split(slopes, [d], axis=1)
+    noise = (weight * jitter).sum(axis=1) / max(pairs - 1, 1)
+    squares = (np.einsum("cir,cr,cjr->cij", one, weight, one, optimize=True) for one in (of_z, of_first))
+    of_all, of_each = (next(squares).sum(axis=0), noise.sum()), (next(squares), noise)
+    return np.concatenate((_beyond(*of_all) @ of_z, _beyond(*of_each) @ of_first), axis=1)
+
+
+def _beyond(square: FloatArray, noise: FloatArray) -> FloatArray:
+    """What takes the noise (...) out of slopes with these squares (..., n, n), shape (..., n, n)."""
+    values, vectors = np.linalg.eigh(square)
+    share = np.maximum(1.0 - np.asarray(noise)[..., None] / np.maximum(values, 1e-300), 0.0)
+    return np.asarray((vectors * np.sqrt(share)[..., None, :]) @ vectors.swapaxes(-1, -2))
 
 
 def _by_coordinates(slopes: FloatArray, shape: FloatArray, first_shape: FloatArray) -> FloatArray:
