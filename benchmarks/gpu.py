@@ -320,30 +320,33 @@ def fits(name: str, kinds: Sequence[str], cores: int, repetitions: int) -> Itera
         ]  # fmt: skip
 
 
-def many(name: str, kind: str, count: int, jobs: int) -> Iterator[list[str]]:
+def many(name: str, kind: str, count: int, jobs: int, limit: float | None) -> Iterator[list[str]]:
     """Searches of the same log side by side, one thread each: how long, and what the cards did."""
-    began = time.perf_counter()
+    began, done = time.perf_counter(), list[Fit]()
     with shared_cards(kind) as shared, ProcessPoolExecutor(jobs, get_context("forkserver")) as executor:
         running = [executor.submit(fit, name, shared, 1, seed) for seed in range(count)]
-        for number, done in enumerate(as_completed(running)):
-            one = done.result()
-            at = time.perf_counter() - began
-            print(f"{at:6.1f} s: {number + 1} done; {one.seconds:.1f} s, {one.cpu:.1f} CPU s", flush=True)
+        try:
+            for one in as_completed(running, limit):
+                done.append(one.result())
+                at = time.perf_counter() - began
+                print(f"{at:6.1f} s: {len(done)} done; {done[-1].seconds:.1f} s, {done[-1].cpu:.1f} CPU s")
+        except TimeoutError:
+            print(f"{len(done)} done when the time was over")
         seconds = time.perf_counter() - began
         spent = spent_at(shared.partition("@")[2]) if kind != "cpu" else []
-    cpu = float(np.mean([one.result().cpu for one in running]))
-    z = np.array([one.result().z for one in running])
-    sd = running[0].result().sd
+        for process in executor._processes.values() if len(done) < count else ():
+            process.kill()
     runs = [run for run in spent if run.jobs]
-    for run in spent[:60]:
+    for run in spent:
         about = f"{run.jobs} jobs, {run.rollouts} rollouts, {run.steps} steps"
-        print(f"{run.at:7.2f} +{run.seconds:5.2f} s: {about}")
-    busy = sum(run.seconds for run in spent)
+        print(f"{run.at:7.2f} +{run.seconds:5.2f} s: {about}", flush=True)
+    busy, z = sum(run.seconds for run in spent), np.array([one.z for one in done] or [[np.nan]])
     yield [
-        name, kind, str(count), str(jobs), f"{seconds:.1f} s", f"{count / seconds * 3600:.0f}",
-        f"{cpu:.1f} s", str(len(runs)), f"{np.mean([run.jobs for run in runs] or [0]):.1f}",
+        name, kind, str(len(done)), str(jobs), f"{seconds:.1f} s", f"{len(done) / seconds * 3600:.0f}",
+        f"{np.mean([one.cpu for one in done]):.1f} s", str(len(runs)),
+        f"{np.mean([run.jobs for run in runs] or [0]):.1f}",
         f"{busy:.1f} s", f"{sum(run.steps for run in runs) / max(busy, 1e-9) / 1e6:.2f} M",
-        f"{(np.ptp(z, axis=0) / sd).max():.2f}",
+        f"{(np.ptp(z, axis=0) / (done[0].sd if done else 1.0)).max():.2f}",
     ]  # fmt: skip
 
 
@@ -361,6 +364,7 @@ def main() -> None:
     )
     parser.add_argument("--many", type=int, help="so many identifications side by side, by each of --fits")
     parser.add_argument("--jobs", type=int, help="processes of these")
+    parser.add_argument("--limit", type=float, help="seconds after which they are ended")
     asked = parser.parse_args()
     if asked.iteration:
         lines = [iteration(name, asked.cores) for name in asked.iteration.split(",")]
@@ -371,7 +375,7 @@ def main() -> None:
         lines = []
         for name, kind in product(names, asked.fits.split(",") if asked.many else ("",)):
             shown = (
-                many(name, kind, asked.many, asked.jobs or asked.many)
+                many(name, kind, asked.many, asked.jobs or asked.many, asked.limit)
                 if asked.many
                 else fits(name, asked.fits.split(","), asked.cores, asked.repetitions)
             )

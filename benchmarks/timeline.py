@@ -4,16 +4,21 @@
 
 The clock begins with the process. A line stands behind its end: what began within it stands above it, further
 to the right. Calls of an engine show their rollouts, and the steps of the longest. Shorter ones are summed.
+TIMELINE_PROFILE=GpuEngine.predict shows, of each call by that name, where its time goes.
 """
 
 from __future__ import annotations
 
+import cProfile
 import functools
 import importlib
+import os
+import pstats
 import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -63,8 +68,10 @@ def main() -> None:
         def wrapper(*arguments: Any, **named: Any) -> Any:
             level = depth.__dict__.setdefault("level", 0)
             depth.level, began, cpu = level + 1, now(), time.process_time()
+            profile = cProfile.Profile() if os.environ.get("TIMELINE_PROFILE") == name else nullcontext()
             try:
-                return call(*arguments, **named)
+                with profile:
+                    return call(*arguments, **named)
             finally:
                 depth.level, taken = level, now() - began
                 sums.setdefault(name, []).append(taken)
@@ -74,6 +81,8 @@ def main() -> None:
                         f"{began:7.2f} s +{taken:6.2f} s, {time.process_time() - cpu:6.2f} CPU s "
                         f"{level * '  '}{name}{apart} {shape(name, arguments)}", file=sys.stderr,
                     )  # fmt: skip
+                    if isinstance(profile, cProfile.Profile):
+                        pstats.Stats(profile, stream=sys.stderr).sort_stats("cumtime").print_stats(45)
 
         return wrapper
 

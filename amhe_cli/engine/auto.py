@@ -104,10 +104,10 @@ class Opening:
     """How far the cards are opened: one for an engine and all its variants.
 
     Args:
-        begin: Begins to open the cards, in the background.
+        begin: Begins to open the cards for calls of so many rollouts, in the background.
     """
 
-    def __init__(self, begin: Callable[[], Future[Engine]]) -> None:
+    def __init__(self, begin: Callable[[int], Future[Engine]]) -> None:
         self._begin = begin
         #: What calls would have saved on the cards [s], until these begin to open.
         self._saved = 0.0
@@ -120,14 +120,23 @@ class Opening:
         """Whether the cards are open; kernels that were never compiled may take a minute."""
         return self._cards is not None and self._cards.done()
 
-    def takes(self, here: float, there: float) -> bool:
+    def opened(self) -> Engine:
+        """The engine of the cards, which have begun to open.
+
+        Raises:
+            SimulationError: They cannot.
+        """
+        assert self._cards is not None
+        return self._cards.result()
+
+    def takes(self, count: int, here: float, there: float) -> bool:
         """Whether the cards compute a call that takes so long on the processor, and on open cards [s]."""
         if here <= there or self.refused:
             return False
         if self._cards is None:
             self._saved += here - there
             if self._saved + FOLLOWING * (here - there) >= START:
-                self._cards = self._begin()
+                self._cards = self._begin(count)
         return self.done
 
 
@@ -191,7 +200,7 @@ class AutoEngine:
     def _computed(self, count: int, steps: int, longest: int, call: Callable[[Engine], T]) -> T:
         """A call of so many rollouts, of so many steps together and in the longest, by the quicker engine."""
         here, there = steps * self._line.core / self._threads, longest * self._line.on_card(count)
-        engine = self._opened() if self._opening.takes(here, there) else self._cpu
+        engine = self._opened() if self._opening.takes(count, here, there) else self._cpu
         try:
             return call(engine)
         except SimulationError as error:

@@ -7,7 +7,6 @@ import logging
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
-from functools import cache
 
 import mujoco
 import numpy as np
@@ -76,13 +75,13 @@ def open_engine(
         logger.log(NOTE, "the CPU computes all rollouts: %s", str(error).partition(";")[0])
         return cpu
 
-    def loaded() -> Engine:
+    def loaded(count: int) -> Engine:
         engine = _gpu_engine(address, None, *about, senses)
-        engine.load()
+        engine.load(count)
         return engine
 
-    begin = cache(lambda: in_background(loaded))
-    engine = AutoEngine(cpu, Opening(begin), lambda: begin().result(), about[0], threads)
+    opening = Opening(lambda count: in_background(lambda: loaded(count)))
+    engine = AutoEngine(cpu, opening, opening.opened, about[0], threads)
     logger.log(
         NOTE, "the graphics card%s, where it is quicker: calls of %.0f equally long rollouts or more; "
         "else the CPU", "s" * (len(cards) > 1), engine.fewest,

@@ -142,7 +142,7 @@ def test_all_modules_that_a_step_needs_are_loaded_side_by_side(
         return 1, 1
 
     monkeypatch.setattr(wp, "get_suggested_block_size", suggested)
-    load_together(device, lambda: mjw.step(model, data))
+    load_together(device, lambda: mjw.step(model, data), 2)
     assert not data.time.numpy().any()
     assert len(together := set(loaded)) > 10
     assert caplog.text.count("kernels of the graphics card compile, once") == 1
@@ -269,7 +269,7 @@ def test_turns_get_smaller_where_the_memory_is_full(
 
     monkeypatch.setattr(card, "Worlds", refuses)
     with pytest.raises(SimulationError, match=little):
-        engine.load()
+        engine.load(3)
     monkeypatch.setattr("mujoco_warp.put_model", refuses)
     with pytest.raises(SimulationError, match=little):
         on(PENDULUM)
@@ -322,6 +322,24 @@ def test_a_model_that_the_cards_cannot_simulate_is_refused(change: Callable[[Any
     model = spec.compile()
     with pytest.raises(SimulationError, match=f"^{why}; take the engine 'cpu'$"):
         GpuEngine(model, PENDULUM.edits.upon(model), PENDULUM.input_spec, False, DEVICES)
+
+
+def test_larger_worlds_serve_until_new_ones_would_have_cost_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[int] = []
+    monkeypatch.setattr(card, "Worlds", lambda blueprint, size, *more, **named: made.append(size) or object())
+    monkeypatch.setattr(card, "step_cost", lambda model: StepCost(True, 1, 1.0, 0.0, 1e-3 / FEWEST))
+    monkeypatch.setattr(Card, "memory", 1)
+    one = Card(Blueprint.of(PENDULUM.model, PENDULUM.edits, PENDULUM.input_spec, False), "cpu")
+    one.worlds(3 * FEWEST, 100)
+    for _ in range(4):
+        one.worlds(2 * FEWEST, 100)  # a step takes 3 ms in place of 2
+    assert made == [3 * FEWEST]
+    one.worlds(2 * FEWEST, 100)
+    assert made == [3 * FEWEST, 2 * FEWEST], "five calls have lost half a second"
+    one.worlds(2 * FEWEST, 100)
+    one.worlds(3 * FEWEST, 100)
+    one.worlds(4 * FEWEST, 100)
+    assert made == [3 * FEWEST, 2 * FEWEST, 4 * FEWEST]
 
 
 def test_variants_begin_with_the_buffers_that_proved_large_enough() -> None:

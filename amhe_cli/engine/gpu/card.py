@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import os
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
@@ -12,7 +14,7 @@ import mujoco_warp as mjw
 import warp as wp
 
 from amhe_cli.core.errors import SimulationError
-from amhe_cli.engine.auto import FEWEST
+from amhe_cli.engine.auto import FEWEST, step_cost
 from amhe_cli.engine.gpu.blueprint import Blueprint, Room, first_room
 from amhe_cli.engine.gpu.job import Job, NoRoomError
 from amhe_cli.engine.gpu.worlds import Worlds
@@ -27,6 +29,8 @@ MEMORY_SHARE, FREE_SHARE = 0.25, 0.5
 DOUBLINGS = 10
 #: Sets of worlds that are kept, of different size.
 KEPT = 3
+#: What another set of worlds takes, for its graph more than all [s].
+NEW_WORLDS = 0.5
 #: Rollouts at once on warp's own processor device, which is for tests.
 WITHOUT_CARD = 4096
 
@@ -80,8 +84,11 @@ class Card:
         #: Part of the share of memory that is asked for, less where it was refused.
         self.part = 1.0
         self._kept: dict[int, Worlds] = {}
-        self._loaded = False
+        self._compilers = os.cpu_count() or 1
         self._bytes: dict[Room, int] = {}
+        #: Seconds by which larger worlds have taken longer, by the size that was wanted.
+        self._longer: dict[int, float] = defaultdict(float)
+        self._cost = step_cost(blueprint.model)
 
     @property
     def memory(self) -> int:
@@ -103,7 +110,7 @@ class Card:
         """
         for last in (*DOUBLINGS * (False,), True):
             with refusals():
-                values, completed, full = self.worlds(len(job.queue)).run(job)
+                values, completed, full = self.worlds(len(job.queue), int(job.ends.max())).run(job)
             if not full:
                 break
             if last:
@@ -115,12 +122,11 @@ class Card:
 
     def follow(self, other: Card) -> None:
         """Begin with what has proved right upon another model of this layout."""
-        self.part, self.room, self._loaded = other.part, other.room, other._loaded
+        self.part, self.room, self._compilers = other.part, other.room, other._compilers
 
-    def load(self) -> None:
-        """Load the kernels, and those that were never compiled for this model compile."""
-        with refusals():
-            self.worlds(1)
+    def stand_back(self) -> None:
+        """Compile with a quarter of the cores: of a share of them, priorities keep none."""
+        self._compilers = -(-self._compilers // 4)
 
     def clear(self) -> None:
         """Give the worlds' memory back."""
@@ -139,20 +145,25 @@ class Card:
             self._bytes[self.room] = bytes_per_world(self.blueprint, self.room, self._device)
         return max(1, int(self.part * MEMORY_SHARE * self.memory / (self._bytes[self.room] + record)))
 
-    def worlds(self, count: int) -> Worlds:
-        """Worlds for so many queues, of few different sizes, so that they are used again.
+    def worlds(self, count: int, steps: int = 0) -> Worlds:
+        """Worlds for so many queues and steps, of few different sizes, so that they are used again.
 
-        Up to some thousand worlds a step takes as long as that of one.
+        Up to some thousand worlds a step takes as long as that of one. Larger worlds that there are serve
+        until their steps have taken longer by what new ones would take: at most twice the least time.
         """
         least = FEWEST if self.memory else 16
         grain = max(least, 2 ** (max(count - 1, 1).bit_length() - self._parts))
         size = -(-count // grain) * grain
+        larger, cost = min((kept for kept in self._kept if kept > size), default=size), self._cost
+        self._longer[size] += steps * (cost.on_card(larger) - cost.on_card(size))
+        if size not in self._kept and self._longer[size] < NEW_WORLDS:
+            size = larger
         worlds = self._kept.pop(size, None)
         if worlds is None:
             while len(self._kept) >= self._most:
                 del self._kept[next(iter(self._kept))]
-            worlds = Worlds(self.blueprint, size, self.room, self._device, loaded=self._loaded)
-            self._loaded = True
+            worlds = Worlds(self.blueprint, size, self.room, self._device, compilers=self._compilers)
+            self._compilers = 0
         self._kept[size] = worlds  # the last used is the last to go
         return worlds
 

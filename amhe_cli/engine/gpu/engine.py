@@ -68,9 +68,13 @@ class GpuEngine:
         """See `Engine.device_bytes`; numbers come together on the first card."""
         return self.cards[0].memory
 
-    def load(self) -> None:
-        """Load the kernels, and those that were never compiled for this model compile."""
-        self.cards[0].load()
+    def load(self, count: int) -> None:
+        """Get ready for calls of so many rollouts, beside rollouts on the processor."""
+        model, card, count = self._model, self.cards[0], min(count, self.cards[0].at_once(0))
+        card.stand_back()
+        inputs = np.zeros((count, 1, mujoco.mj_stateSize(model, self._blueprint.input_spec)))
+        theta = np.asarray(self._edits.space.nominal)[None]
+        self.rollout(theta, model.qpos0, np.zeros(model.nv), inputs, np.ones(count, dtype=np.int64))
 
     def rollout(
         self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray, lengths: IntArray

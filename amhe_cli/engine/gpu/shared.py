@@ -99,8 +99,8 @@ class SharedCard:
     def follow(self, other: SharedCard) -> None:
         """See `Card.follow`; the other process sees to it."""
 
-    def load(self) -> None:
-        """See `Card.load`; likewise."""
+    def stand_back(self) -> None:
+        """See `Card.stand_back`; likewise."""
 
     def _ask(self, about: bytes | Job) -> Any:
         try:

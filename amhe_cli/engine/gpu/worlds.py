@@ -55,12 +55,17 @@ def captured(device: Any, launches: Callable[[], object]) -> Callable[[], None]:
     return again
 
 
-def load_together(device: Any, launches: Callable[[], object]) -> None:
+def load_together(device: Any, launches: Callable[[], object], compilers: int) -> None:
     """Load the modules of all kernels that launches need, and compile those that never were, side by side.
 
     Warp loads a module when a kernel of it is first launched, one after the other, which takes a minute where
     all must be compiled. So the launches are made once without effect, to see what they need: warp launches
     nothing from a module that it could not load. What this leaves out, or cannot load, loads at its launch.
+
+    Args:
+        device: The device.
+        launches: What is to be launched there.
+        compilers: Number of threads.
     """
     kind: Any = type(wp.get_module(__name__))
     load, needed = kind.load, {}
@@ -89,7 +94,7 @@ def load_together(device: Any, launches: Callable[[], object]) -> None:
             )
         load(module, device, block_dim)
 
-    with ThreadPoolExecutor(os.cpu_count(), initializer=_stand_back) as threads:
+    with ThreadPoolExecutor(compilers, initializer=_stand_back) as threads:
         for module, block_dim in needed:
             threads.submit(load_or_compile, module, block_dim)
 
@@ -153,11 +158,11 @@ class Worlds:
         count: Number of worlds.
         room: Buffers of each.
         device: Warp's name of the device.
-        loaded: The kernels of such worlds have been loaded.
+        compilers: Threads that load the kernels of such worlds; 0: they have been loaded.
     """
 
     def __init__(
-        self, blueprint: Blueprint, count: int, room: Room, device: str, *, loaded: bool = False
+        self, blueprint: Blueprint, count: int, room: Room, device: str, *, compilers: int = 0
     ) -> None:
         self.count, self.room = count, room
         self._blueprint, self._device = blueprint, wp.get_device(device)
@@ -172,8 +177,8 @@ class Worlds:
             self._begins = wp.zeros(count, dtype=bool)
             step, reset = (lambda: mjw.step(model, data)), (lambda: mjw.reset_data(model, data, self._begins))
             derive = (lambda: mjw.set_const(model, data, restore=False)) if blueprint.derives else reset
-            if self._device.is_cuda and not loaded:
-                load_together(self._device, lambda: [each() for each in (step, reset, derive)])
+            if self._device.is_cuda and compilers:
+                load_together(self._device, lambda: [each() for each in (step, reset, derive)], compilers)
             self.step, self._reset, self._derive = (captured(self._device, e) for e in (step, reset, derive))
             if blueprint.gear is not None:
                 self._dry = wp.zeros_like(model.dof_frictionloss)
