@@ -13,12 +13,12 @@ from dataclasses import replace
 from functools import cache, lru_cache
 from graphlib import TopologicalSorter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from google.protobuf.descriptor import Descriptor, FieldDescriptor
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
-from google.protobuf.message import DecodeError
+from google.protobuf.message import DecodeError, Message
 from google.protobuf.message_factory import GetMessageClass
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
@@ -26,28 +26,12 @@ from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.limits import beyond, limits
 from amhe_cli.logs.containers.raw import Connection, normal_type
 from amhe_cli.logs.containers.table_file import ENCODING as TABLE
-from amhe_cli.logs.messages.layout import DEEPEST, MOST_VALUES, MalformedMessageError, Types
+from amhe_cli.logs.messages.layout import MalformedMessageError, Types
 
 #: MCAP's name of the encoding.
 PROTOBUF = "protobuf"
 #: A longer list is an image or a cloud of points, and not read.
 _LONGEST = 10_000
-
-
-class _Field(NamedTuple):
-    """One field of a message type that is read.
-
-    Args:
-        name: Its name.
-        nested: Whether it holds messages.
-        repeated: Whether it is a list.
-        always: Whether it has a value where a message leaves it out.
-    """
-
-    name: str
-    nested: bool
-    repeated: bool
-    always: bool
 
 
 class MessageType:
@@ -69,12 +53,11 @@ class MessageType:
             raise MalformedMessageError(f"{error}".split("\n")[0][:200]) from None
         root: Descriptor = pool.FindMessageTypeByName(name)
         self._make = GetMessageClass(root)
-        self._fields: dict[str, list[_Field]] = {}
+        self._fields: dict[str, list[tuple[str, bool, bool]]] = {}
         self._growth = _largest_growth(root)
-        self._left = 0
 
     def content(self, data: bytes) -> dict[str, Any]:
-        """Parse one message: its fields, nested, without those that are not known.
+        """Parse one message; see `fields`.
 
         Raises:
             MalformedMessageError: The bytes are none, or would take too much room.
@@ -82,47 +65,27 @@ class MessageType:
         if len(data) * self._growth > limits().piece:
             raise MalformedMessageError(beyond("piece_mib", f"what its {len(data)} bytes may unfold to is"))
         try:
-            message = self._make.FromString(data)
+            return self.fields(self._make.FromString(data))
         except (DecodeError, RecursionError) as error:
             raise MalformedMessageError(str(error)) from None
-        self._left = MOST_VALUES
-        return self._content(message, 0)
 
-    def _content(self, message: Any, depth: int) -> dict[str, Any]:
-        fields = self._fields_of(message.DESCRIPTOR)
-        self._left -= len(fields)
-        if self._left < 0 or depth > DEEPEST:
-            raise MalformedMessageError("it nests too deep, or holds too many numbers")
-        found: dict[str, Any] = {}
-        for name, nested, repeated, always in fields:
-            if not (repeated or always or message.HasField(name)):
-                continue
-            value = getattr(message, name)
-            if repeated and len(value) > _LONGEST:
-                continue
-            if nested:
-                several = [self._content(one, depth + 1) for one in (value if repeated else [value])]
-                found[name] = several if repeated else several[0]
-            else:
-                found[name] = list(value) if repeated else value
-        return found
-
-    def _fields_of(self, descriptor: Descriptor) -> list[_Field]:
-        """The fields of a type that are read, all but bytes and maps, in the order of their numbers."""
-        name = descriptor.full_name
-        if name not in self._fields:
-            self._fields[name] = [
-                _Field(
-                    field.name,
-                    field.message_type is not None,
-                    field.is_repeated,
-                    not field.has_presence or field.has_default_value,
-                )
-                for field in sorted(descriptor.fields, key=lambda field: field.number)
+    def fields(self, message: Message) -> dict[str, Any]:
+        """Known fields of a message: numbers, texts, messages, lists of them; no bytes, maps or images."""
+        kind = message.DESCRIPTOR.full_name
+        if kind not in self._fields:
+            self._fields[kind] = [
+                (field.name, field.is_repeated, not field.has_presence or field.has_default_value)
+                for field in sorted(message.DESCRIPTOR.fields, key=lambda field: field.number)
                 if field.type != FieldDescriptor.TYPE_BYTES
                 and not (field.message_type and field.message_type.GetOptions().map_entry)
             ]
-        return self._fields[name]
+        found: dict[str, Any] = {}
+        for name, repeated, always in self._fields[kind]:
+            if not repeated and (always or message.HasField(name)):
+                found[name] = getattr(message, name)
+            elif repeated and len(values := getattr(message, name)) <= _LONGEST:
+                found[name] = list(values)
+        return found
 
 
 def _largest_growth(root: Descriptor) -> float:

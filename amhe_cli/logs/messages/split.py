@@ -16,6 +16,7 @@ from math import nan
 from typing import Any
 
 import numpy as np
+from google.protobuf.message import Message
 from numpy.typing import NDArray
 
 from amhe_cli.core.arrays import FloatArray, IntArray
@@ -69,10 +70,15 @@ class Rows:
 
     Args:
         read: Parses the bytes of one message; raises MalformedMessageError where they are none.
+        fields: Fields of a message of protobuf within another.
     """
 
-    def __init__(self, read: Callable[[bytes], dict[str, Any]]) -> None:
-        self._read = read
+    def __init__(
+        self,
+        read: Callable[[bytes], dict[str, Any]],
+        fields: Callable[[Message], dict[str, Any]] | None = None,
+    ) -> None:
+        self._read, self._fields = read, fields
         self._layouts: dict[tuple, Layout] = {}
         self._held = 0
         #: Fields of all layouts that were met, and those of messages that have more of them than bytes.
@@ -84,9 +90,9 @@ class Rows:
         Raises:
             MalformedMessageError: The bytes are no such message, or it is too deep or too large.
         """
-        row = _Row()
+        row = _Row(self._fields)
         try:
-            row.mapping("", _as_joint_state(self._read(message)), 0)
+            row.mapping("", row.as_joint_state(self._read(message)), 0)
         except (ValueError, TypeError, OverflowError) as error:
             raise MalformedMessageError(str(error)) from None
         self.fields += len(row.numbers) if len(row.numbers) > len(message) else 0
@@ -100,15 +106,6 @@ class Rows:
         return self._layouts[key], np.array(row.numbers, dtype=np.float64)
 
 
-def _as_joint_state(content: dict[str, Any]) -> dict[str, Any]:
-    """A list of joints (foxglove.JointStates) in the form of a JointState, too; anything else as it is."""
-    joints = content.get("joints")
-    if not (isinstance(joints, list) and joints and all(isinstance(one, dict) for one in joints)):
-        return content
-    arrays = {key: [one.get(key) for one in joints] for key in ("name", "position", "velocity", "effort")}
-    return content | {key: each for key, each in arrays.items() if any(one is not None for one in each)}
-
-
 class _Row:
     """What one message holds, in the order of its content.
 
@@ -119,22 +116,36 @@ class _Row:
         strings: Path -> content; only names and frames.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, fields: Callable[[Message], dict[str, Any]] | None) -> None:
+        self._fields, self._met = fields, 0
         self.numbers: list[float] = []
         self.shape: list[tuple[str, int | None]] = []
         self.counts: dict[str, int] = {}
         self.strings: dict[str, str] = {}
 
+    def as_joint_state(self, content: dict[str, Any]) -> dict[str, Any]:
+        """A list of joints (foxglove.JointStates) as a JointState, too; anything else as it is."""
+        listed = content.get("joints")
+        joints = [self._opened(one) for one in listed] if isinstance(listed, list) else []
+        if not joints or not all(isinstance(one, dict) for one in joints):
+            return content
+        arrays = {key: [one.get(key) for one in joints] for key in ("name", "position", "velocity", "effort")}
+        return content | {key: each for key, each in arrays.items() if any(one is not None for one in each)}
+
+    def _opened(self, value: Any) -> Any:
+        return self._fields(value) if self._fields and isinstance(value, Message) else value
+
     def mapping(self, prefix: str, content: dict[str, Any], depth: int) -> None:
         """Note all values of an object."""
-        if depth > DEEPEST or len(self.numbers) + len(self.counts) > MOST_VALUES:
+        self._met += len(content)
+        if depth > DEEPEST or max(self._met, len(self.numbers)) > MOST_VALUES:
             raise MalformedMessageError("it nests too deep, or holds too many numbers")
         names = _TIMES if _TIME_PARTS.issuperset(content) else {"timestamp": "stamp"}
         for key, value in content.items():
             self._value(prefix + names.get(key, key), value, depth + 1)
 
     def _value(self, path: str, value: Any, depth: int) -> None:
-        if isinstance(value, dict):
+        if isinstance(value := self._opened(value), dict):
             self.mapping(f"{path}.", value, depth)
         elif isinstance(value, list):
             self._list(path, value, depth)
@@ -225,7 +236,7 @@ class Splitter:
         self._rows: Rows | None = None
         self._types: Types = {}
         if isinstance(types, MessageType):
-            self._rows = Rows(types.content)
+            self._rows = Rows(types.content, types.fields)
         elif connection.encoding == "json":
             self._rows = Rows(json_content)
         else:
