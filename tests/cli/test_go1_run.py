@@ -43,6 +43,8 @@ QUICK = [
     *("--set", "go1.trips.pose_age=1"), *("--set", "go1.place_tolerance=0.3"),
     *("--set", "go1.trips.packet_gap=0.2"), *("--set", "go1.trips.report_age=1"), "--threads", "1", "-q",
 ]  # fmt: skip
+#: Little work in the design of a probe, and in what it tells.
+FEW = ["--set=probe.pairs=0", "--set=control.substeps=1", "--set=identify.first_state=never"]
 ROBOT = ["run", "--task", "t1", "--target", "go1", "--mode", "baseline"]
 
 
@@ -292,7 +294,7 @@ def test_a_robot_that_is_not_there_is_one_line_and_leaves_no_process(capfd, mode
 def test_a_probe_is_planned_first_and_then_done_on_the_robot(capsys, monkeypatch) -> None:
     pytest.importorskip("natnet")
     monkeypatch.setattr("amhe_cli.robots.go1.probing.probe.MOTIONS", (STEADY,))
-    few = ["--for", "2", "--set", "probe.pairs=0", "--set", "control.substeps=1"]
+    few = ["--for", "2", *FEW]
     with emulating("--set", "go1.slow=2") as emulated:
         probe = ["probe", *at(emulated)[1:], *few]
         for option in ("--mode", "baseline"):
@@ -319,7 +321,7 @@ def test_a_probe_without_its_robot_keeps_its_plan(capfd, monkeypatch) -> None:
         deaf.bind(("127.0.0.1", 0))
         port = str(deaf.getsockname()[1])
         where = ["--host", "127.0.0.1", "--port", port, "--pose", "udp", "--pose-port", port]
-        few = ["--for", "2", "--set", "probe.pairs=0", "--set", "control.substeps=1", "-o", "out"]
+        few = ["--for", "2", *FEW, "-o", "out"]
         probe = ["probe", "--target", "go1", *where, *few, "--set", "go1.connect_time=0.3", *QUICK]
         assert run(probe) == 1
     err = capfd.readouterr().err
