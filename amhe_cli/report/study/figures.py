@@ -7,8 +7,8 @@ import logging
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -73,30 +73,19 @@ _STYLE = {
     "ytick.major.size": 0.0,
     "lines.linewidth": 1.5,
     "legend.frameon": False,
+    "figure.constrained_layout.w_pad": 0.1,
     "text.parse_math": False,  # a '$' in a name is a '$'
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Grid:
-    """Cells of equal size over the width of the page; twice as fast as matplotlib's layout engine."""
-
-    count: int
-    across: int
-    height: float  # of a cell [inch]
-
-    def figure(self) -> Figure:
-        """An empty figure with room for the cells."""
-        return Figure(figsize=(WIDTH, self.height * -(-self.count // self.across)))
-
-    def axes(self, figure: Figure, index: int, bottom: float = 0.42, top: float = 0.26) -> Axes:
-        """Axes in one cell, `bottom` and `top` inches from its lower and upper edge."""
-        row, column = divmod(index, self.across)
-        total = figure.get_figheight()
-        low = total - (row + 1) * self.height + bottom
-        width = WIDTH / self.across
-        box = (column * width + 0.55, low, width - 0.67, self.height - bottom - top)
-        return figure.add_axes((box[0] / WIDTH, box[1] / total, box[2] / WIDTH, box[3] / total))
+def _cells(count: int, across: int, height: float) -> tuple[Figure, list[Axes]]:
+    """A figure of so many cells over the width of the page, each so high [inch]."""
+    down = -(-count // across)
+    figure = Figure(figsize=(WIDTH, height * down), layout="constrained")
+    cells = figure.subplots(down, across, squeeze=False).ravel()
+    for empty in cells[count:]:
+        empty.remove()
+    return figure, [*cells[:count]]
 
 
 def styled(salt: str, **more: Any) -> AbstractContextManager[None]:
@@ -124,8 +113,6 @@ Drawing = tuple[str, str, str, Callable[[], Figure]]
 #: Colour of each mode; of what is true or wanted, and the operating point; of the path of the box.
 _COLORS = {"true": INK, "baseline": "#b45309", "stale": "#b91c1c", "adaptive": "#2563eb"}
 _TRUTH, _PATH = "#15803d", "#94a3b8"
-#: Height of the legend below the panels [inch].
-_STRIP = 0.34
 #: A mean over seeds is drawn where at least this share of them is still running.
 _QUORUM = 0.5
 #: Straight tasks show at least this much beside their path [m].
@@ -223,11 +210,9 @@ def _panels(
     *others: tuple[str, str],
 ) -> Figure:
     """A panel for each task; below, a legend of modes and of other lines (label, colour)."""
-    grid = Grid(len(tasks), max(2, min(3, len(tasks))), height)
-    figure = grid.figure()
-    figure.set_figheight(figure.get_figheight() + _STRIP)
-    for index, task in enumerate(tasks):
-        draw(grid.axes(figure, index), task)
+    figure, cells = _cells(len(tasks), max(2, min(3, len(tasks))), height)
+    for axes, task in zip(cells, tasks, strict=True):
+        draw(axes, task)
     _legend(figure, groups.modes_of(tasks), *others)
     return figure
 
@@ -237,7 +222,9 @@ def _legend(figure: Figure, modes: Sequence[str], *others: tuple[str, str]) -> N
     handles += [
         Line2D([], [], color=color, linestyle="--", linewidth=1.3, label=label) for label, color in others
     ]
-    figure.legend(handles=handles, loc="lower center", ncols=len(handles), fontsize=8.5, handlelength=1.8)
+    figure.legend(
+        handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8.5, handlelength=1.8
+    )
 
 
 def _color(mode: str) -> str:
@@ -285,15 +272,10 @@ def _costs(groups: Groups, tasks: Sequence[str]) -> Figure:
 
 def _parameters(groups: Groups, tasks: Sequence[str]) -> Figure:
     """Believed parameters of the box against the true ones; time from the change on."""
-    grid = Grid(len(_SHOWN) * len(tasks), len(_SHOWN), height=2.5)
-    figure = grid.figure()
-    figure.set_figheight(figure.get_figheight() + _STRIP)
-    for row, task in enumerate(tasks):
-        found = [group for group in groups.of(task) if group.mode != "true"]
-        for column, (title, value) in enumerate(_SHOWN):
-            axes = grid.axes(figure, len(_SHOWN) * row + column)
-            _parameter_panel(axes, found, value)
-            axes.set_title(f"{task.upper()}: {title}")
+    figure, cells = _cells(len(_SHOWN) * len(tasks), len(_SHOWN), 2.5)
+    for axes, (task, (title, value)) in zip(cells, product(tasks, _SHOWN), strict=True):
+        _parameter_panel(axes, [group for group in groups.of(task) if group.mode != "true"], value)
+        axes.set_title(f"{task.upper()}: {title}")
     _legend(figure, [mode for mode in groups.modes_of(tasks) if mode != "true"], ("truth", _TRUTH))
     return figure
 
@@ -375,10 +357,9 @@ def _paths(groups: Groups, tasks: Sequence[str], floors: Floors) -> Figure:
 def one_leg_figure(groups: Groups, task: str, floor: Floor) -> Figure:
     """Robot and box from above at the end, one panel a mode."""
     found = groups.of(task)
-    grid = Grid(len(found), min(4, max(3, len(found))), height=3.4)
-    figure = grid.figure()
-    for index, group in enumerate(found):
-        axes, color, first = grid.axes(figure, index), _color(group.mode), group.results[0].trace
+    figure, cells = _cells(len(found), min(4, max(3, len(found))), 3.4)
+    for axes, group in zip(cells, found, strict=True):
+        color, first = _color(group.mode), group.results[0].trace
         size = np.array(dict(group.setting).get("boxes.box", floor.footprint)[:2])
         _outline(axes, first, 0, _TRUNK, "trunk", color=MUTED, linewidth=0.9, linestyle=":")
         _outline(axes, first, 0, size, "box", color=MUTED, linewidth=0.9, linestyle=":")
@@ -406,12 +387,8 @@ def _outline(
 
 def _ablations(tried: Sequence[Ablation]) -> Figure:
     """One panel a setting: J to the left, with its sd; success to the right, with its interval."""
-    grid = Grid(len(tried), min(3, len(tried)), height=2.95)
-    figure = grid.figure()
-    for index, ablation in enumerate(tried):
-        axes = grid.axes(figure, index, bottom=0.5, top=0.45)
-        place = axes.get_position()
-        axes.set_position((place.x0, place.y0, place.width - 0.045, place.height))
+    figure, cells = _cells(len(tried), min(3, len(tried)), 2.95)
+    for axes, ablation in zip(cells, tried, strict=True):
         _ablation_panel(axes, ablation)
     return figure
 
@@ -421,14 +398,14 @@ def _ablation_panel(axes: Axes, ablation: Ablation) -> None:
     costs, rates = ([group.spread(name) for group in ablation.groups] for name in ("cost", "success"))
     sd = np.nan_to_num([cost.sd for cost in costs])
     axes.errorbar(at - 0.05, [c.mean for c in costs], sd, fmt="o-", color=IDENTIFIED, **dots)
-    axes.set_ylabel("cost J [-]", color=IDENTIFIED, labelpad=1.0)
+    axes.set_ylabel("cost J [-]", color=IDENTIFIED)
     axes.set_ylim(bottom=0.0)
     right = axes.twinx()
     share = 100.0 * np.array([rate.mean for rate in rates])
     reach = 100.0 * np.array([[r.mean - r.low for r in rates], [r.high - r.mean for r in rates]])
     right.errorbar(at + 0.05, share, np.maximum(reach, 0.0), fmt="s:", color=INITIAL, **dots)
     right.set_ylim(-4.0, 104.0)
-    right.set_ylabel("success [%]", color=INITIAL, labelpad=1.0)
+    right.set_ylabel("success [%]", color=INITIAL)
     right.grid(visible=False)
     if ablation.default is not None:
         axes.axvline(ablation.default, color=_TRUTH, linestyle="--", linewidth=1.3)
