@@ -26,7 +26,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from common import PROJECT, over_seeds, show
+from common import PROJECT, over_seeds, seeds_of, show
 from effort import TORQUE, arm, motion
 
 from amhe_cli.audit.audit import audit
@@ -220,7 +220,7 @@ def save(path: Path, names: list[str], table: FloatArray) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="amhe audit on files with spoilt numbers.")
-    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--seeds", type=seeds_of, default=range(10), metavar="N or A:B")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--robots", nargs="+", default=["arm3", "pendulum", "torque7"])
@@ -228,9 +228,7 @@ def main() -> None:
     rows, every = [], []
     for robot in options.robots:
         one = functools.partial(trial, robot=robot, seconds=options.seconds)
-        some = over_seeds(
-            f"audit-{Path(robot).stem}-{options.seconds:g}", one, range(options.seeds), options.jobs
-        )
+        some = over_seeds(f"audit-{Path(robot).stem}-{options.seconds:g}", one, options.seeds, options.jobs)
         rows.append(row(Path(robot).stem, some))
         every += some
     rows.append(row("all", every))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.audit.claims import Claim, Group, claims_of, doubts_of
-from amhe_cli.audit.judge import Findings, chances, contradicted, outstanding, said
+from amhe_cli.audit.judge import Findings, Sheets, contradicted, judged, wrong_sheets
 from amhe_cli.audit.weight import anywhere, weights
 from amhe_cli.check.motion import states_along
 from amhe_cli.core.arrays import BoolArray, FloatArray
@@ -145,124 +145,91 @@ def audit(
         return searched_for(system, logs, None, options, progress, quick=True, near=near, clips=clips)
 
     # rollouts of all clips take their time, and data sheets are held against what some of them say
-    search, doubted = None, Doubted()
+    search, wrong = None, frozenset[Group]()
     for clips, length in ((None, None),) if proposal.match == "effort" else _CLIPS:
         try:
             among = partial(searched, clips=clips, length=length)
-            search, doubted = _without_suspects(among, claims, doubted, search)
+            search, wrong = _without_suspects(among, claims, wrong, search)
         except EstimationError:
             if length is None:
                 raise
             among = partial(searched, clips=_SLOW, length=None)
-            search, doubted = _without_suspects(among, claims, doubted, search)
+            search, wrong = _without_suspects(among, claims, wrong, search)
     assert search is not None
     found, system = concluded(search, quick=True), search.problem.system
-    lines = _lines(system, found, claims, doubted.ever, logs)
+    lines = _lines(system, found, claims, wrong, logs)
     return Audit(tuple(lines), system, found, tuple(claims), proposal)
-
-
-@dataclass(frozen=True, slots=True)
-class Doubted:
-    """Groups of numbers that are not believed, and all that ever stood out, which may explain the same."""
-
-    wide: frozenset[Group] = frozenset()
-    ever: frozenset[Group] = frozenset()
 
 
 def _without_suspects(
     searched: Callable[[Collection[Group], Search | None], Search],
     claims: Sequence[Claim],
-    doubted: Doubted,
+    wrong: frozenset[Group],
     near: Search | None,
-) -> tuple[Search, Doubted]:
-    """The search after which no number stands out that is believed, and those that are not.
+) -> tuple[Search, frozenset[Group]]:
+    """The search that believes what its own linearisation calls right, and the data sheets that it does not.
 
-    One linearisation says which numbers those are. It may err far from its minimum: where the cost rises when
-    they are left open, only the first of them is, and where it still rises, that one is believed.
+    A linearisation may err far from its minimum: where the cost rises with the sheets that it calls wrong,
+    one of them at a time is tried, and where it still rises, that one is believed.
     """
-    wide, refused = doubted.wide, frozenset[Group]()
-    search = searched(wide, near)
-    suspects, ever = _suspects(search, claims, wide)
-    ever |= doubted.ever
+    search, refused = searched(wrong, near), frozenset[Group]()
+    tried = {wrong}
     for _ in range(_ROUNDS):
-        begin = search
-        if not suspects:
-            suspects, begin = _far_off(search, claims, wide | refused)
-        if not suspects:
+        evidence, begin = _sketched(search), search
+        likely = next(iter(wrong_sheets(evidence, _sheets(evidence, search.problem.system, claims), wrong)))
+        likely -= refused
+        if likely <= wrong and (far := _far_off(search, claims, wrong | refused)):
+            (more, begin) = far
+            likely = wrong | {more}
+        if likely in tried:
             break
-        tried = searched(wide | {*suspects}, begin)
-        if _cost(tried) <= (1.0 + _RISES) * _cost(search):
-            search, wide, refused = tried, wide | {*suspects}, frozenset()
-        elif len(suspects) > 1:
-            suspects = suspects[:1]
-            continue
-        else:
-            refused |= {*suspects}
-        suspects, more = _suspects(search, claims, wide | refused)
-        ever |= more
-    return search, Doubted(wide, ever)
+        tried.add(likely)
+        other = searched(likely, begin)
+        if _cost(other) <= (1.0 + _RISES) * _cost(search):
+            search, wrong, refused = other, likely, frozenset()
+        elif new := likely - wrong:
+            refused |= new if len(new) == 1 else {*sorted(new)[1:]}
+    return search, wrong
+
+
+def _sheets(evidence: Findings, system: System, claims: Sequence[Claim]) -> Sheets[Group]:
+    """The data sheets of the file; what it does not say is known by its prior."""
+    file, right = np.array(evidence.prior)
+    wide, groups = right.copy(), dict[Group, list[int]]()
+    for row, claim in zip(_rows(system, claims), claims, strict=True):
+        file[row], right[row], wide[row] = claim.phi(claim.value), claim.sd, claim.wide
+        groups.setdefault(claim.group, []).append(row)
+    return Sheets(groups, file, right, wide)
 
 
 def _cost(search: Search) -> float:
     return search.finding.record[-1].cost if search.finding.record else np.inf
 
 
-def _evidence(space: ParameterSpace, phi: FloatArray, information: FloatArray, more: FloatArray) -> Findings:
-    """Findings on the parameters' scales, of the logs' information about z."""
+def _evidence(
+    space: ParameterSpace, at: FloatArray, z: FloatArray, information: FloatArray, more: FloatArray
+) -> Findings:
+    """Findings on the parameters' scales: z (d,) of the logs linearised `at` phi (d,), and information."""
     sd = np.array(space.prior_sd)
-    return Findings(
-        phi, np.array([space.phi_of(space.nominal), sd]), information / np.outer(sd, sd), np.array(more)
-    )
+    prior = np.array([space.phi_of(space.nominal), sd])
+    return Findings(prior[0] + sd * z, prior, information / np.outer(sd, sd), np.array(more), at)
 
 
 def _sketched(search: Search) -> Findings:
     """What a search says, without the checks of its conclusion."""
-    space, fit = search.problem.system.space, search.fit
-    scale = np.outer(space.prior_sd, space.prior_sd)
-    known = fit.posterior.hessian - fit.posterior.prior
-    return _evidence(space, space.phi_of(space.theta_of(fit.z)), known, fit.posterior.covariance * scale)
+    space, told = search.problem.system.space, search.fit.posterior
+    more = told.covariance * np.outer(space.prior_sd, space.prior_sd)
+    at = space.phi_of(space.theta_of(search.fit.z))
+    return _evidence(space, at, search.fit.z + told.step, told.hessian - told.prior, more)
 
 
 def _rows(system: System, claims: Iterable[Claim]) -> list[int]:
     return [system.space.names.index(claim.parameter) for claim in claims]
 
 
-def _sheets(system: System, claims: Sequence[Claim]) -> tuple[FloatArray, FloatArray]:
-    """What the file says of all parameters, and the sd of its data sheets, on their scales, (d,)."""
-    file, sheet = np.zeros(len(system.space)), np.ones(len(system.space))
-    for row, claim in zip(_rows(system, claims), claims, strict=True):
-        file[row], sheet[row] = claim.phi(claim.value), claim.sd
-    return file, sheet
-
-
-def _suspects(
+def _far_off(
     search: Search, claims: Sequence[Claim], known: Collection[Group]
-) -> tuple[list[Group], frozenset[Group]]:
-    """Groups of numbers that stand out, one after the other, as far as one linearisation shows.
-
-    Returns:
-        Those that explain all together, and all that stood out at any time.
-    """
-    evidence, system = _sketched(search), search.problem.system
-    file, sheet = _sheets(system, claims)
-    rows = dict(zip((claim.parameter for claim in claims), _rows(system, claims), strict=True))
-    wide = sheet.copy()
-    wide[list(rows.values())] = [claim.wide for claim in claims]
-    groups: dict[Group, list[int]] = {}
-    for claim in claims:
-        if claim.group not in known:
-            groups.setdefault(claim.group, []).append(rows[claim.parameter])
-    found, ever = list[Group](), frozenset[Group]()
-    while standing := outstanding(evidence, groups, file, sheet, wide):
-        found.append(standing[0])
-        ever |= {*standing}
-        sd, left_open = evidence.prior[1].copy(), groups.pop(standing[0])
-        sd[left_open] = wide[left_open]
-        evidence = evidence.with_priors(sd)
-    return found, ever
-
-
-def _far_off(search: Search, claims: Sequence[Claim], known: Collection[Group]) -> tuple[list[Group], Search]:
+) -> tuple[Group, Search] | None:
     """The group that is wrong by so much that no slope shows it, and the search to begin from there.
 
     A servo whose file is fifty times too stiff feels the same if it is ten per cent softer. Where no value
@@ -271,7 +238,7 @@ def _far_off(search: Search, claims: Sequence[Claim], known: Collection[Group]) 
     """
     problem, space, at = search.problem, search.problem.system.space, search.finding.z
     if not unexplained(search.fit):
-        return [], search
+        return None
     moved: list[tuple[Group, FloatArray]] = []
     rows = _rows(problem.system, claims)
     for group in dict.fromkeys(claim.group for claim in claims if claim.group not in known):
@@ -282,39 +249,29 @@ def _far_off(search: Search, claims: Sequence[Claim], known: Collection[Group]) 
                 step[row] = far * wide / space.prior_sd[row]
             moved.append((group, space.clip(at + step)))
     if not moved:
-        return [], search
+        return None
     costs = problem.cost(problem.clips, search.finding.scale).costs(np.stack((at, *(z for _, z in moved))))
     best = int(np.argmin(costs[1:]))
     if not costs[1 + best] < (1.0 - _FALLS) * costs[0]:
-        return [], search
+        return None
     group, z = moved[best]
-    return [group], replace(search, finding=replace(search.finding, z=z, straight=False))
+    return group, replace(search, finding=replace(search.finding, z=z, straight=False))
 
 
 def _lines(
     system: System,
     found: Identification,
     claims: Sequence[Claim],
-    ever: Collection[Group],
+    doubted: frozenset[Group],
     logs: Sequence[Log],
 ) -> list[Line]:
-    """The table; what is contradicted stays so if all that `ever` stood out is left open."""
-    belief = found.belief
-    evidence = _evidence(
-        system.space, system.space.phi_of(belief.estimate), found.information, belief.covariance
-    )
-    rows = _rows(system, claims)
-    file, sheet = (one[rows] for one in _sheets(system, claims))
-    logged = said(evidence, rows, file, sheet)
-    sd = evidence.prior[1].copy()
-    for row, claim in zip(rows, claims, strict=True):
-        if claim.group in ever:
-            sd[row] = claim.wide
-    alone = said(evidence.with_priors(sd), rows, file, sheet)
-    t = np.sign(logged.t) * np.minimum(np.abs(logged.t), np.abs(alone.t))
-    chance = chances(t)
+    """The table, of a search that did not believe some data sheets."""
+    at = system.space.phi_of(found.belief.estimate)
+    evidence = _evidence(system.space, at, found.unbounded, found.information, found.belief.covariance)
+    rows, sheets = _rows(system, claims), _sheets(evidence, system, claims)
+    log, sheet, factor = system.space.log[rows], sheets.right[rows], np.array([c.factor for c in claims])
+    logged, chance = judged(evidence, sheets, wrong_sheets(evidence, sheets, doubted), rows, log)
     wrong = contradicted(chance) & (not found.unexplained)
-    log, factor = system.space.log[rows], np.array([claim.factor for claim in claims])
     value = factor * theta_of(log, logged.mean)
     sd = logged.sd * np.where(log, value, factor)
     verdicts = verdicts_of(wrong, (logged.sd <= sheet) & (not found.unexplained))
@@ -322,7 +279,7 @@ def _lines(
     lines = [
         Line(
             c.number.of, c.number.what, c.number.unit, c.parameter, c.value, float(value[i]), float(sd[i]),
-            float(t[i]), float(chance[i]), verdicts[i], weight[i],
+            float(logged.t[i]), float(chance[i]), verdicts[i], weight[i],
             _cure(system, found, evidence, c) if verdicts[i] == VERDICTS[2] else "",
         )
         for i, c in enumerate(claims)

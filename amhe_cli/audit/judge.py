@@ -1,9 +1,19 @@
-"""Does a log contradict a number of a file? The test, and which numbers are not believed.
+"""Does a log contradict a number of a file? Which data sheets are wrong, and the test of each number.
 
-The test of a number compares what the file says, with the sd of its data sheet, with what the log says with
-all other numbers at their own data sheets: the number's own prior is taken out of the estimate, or it would
-speak for itself (Marshall and Spiegelhalter 2007, "Identifying outliers in Bayesian hierarchical models").
-With the posterior N(m, V) of phi under the prior N(n, p) the log says
+**Data sheets.** Numbers of a group stand on one data sheet. If it is right, the truth is within its sd S of
+what the file says, else within a wide W. For each set of wrong sheets, the evidence of the logs is that of a
+linear model with normal errors: with the logs' information A, and their score r at the file's values,
+
+    log Z = 1/2 r' (A + P^-1)^-1 r - 1/2 log det(1 + A P),   P = diag(S^2 or W^2).
+
+Sets are searched from one that is known, sheets added, taken back or put in another's place (Bayesian
+variable selection: George and McCulloch 1993); and once more without each sheet of the best set. So one wrong
+number is told from two that could make up for it.
+
+**Numbers.** What the file says, with the sd of its data sheet, is compared with what the log says with all
+other numbers at their own sheets, but for those that are wrong: the number's own prior is taken out of the
+estimate, or it would speak for itself (Marshall and Spiegelhalter 2007, "Identifying outliers in Bayesian
+hierarchical models"). With the posterior N(m, V) of phi under the prior N(n, p) the log says
 
     precision  q = 1 / V - 1 / p,   mean  c = (m / V - n / p) / q,
 
@@ -11,15 +21,14 @@ and further errors e of m, of the ledger, are errors e / (V q) of c. The statist
 
     t = (c - f) / sqrt(1 / q + e / (V q)^2 + s^2),
 
-which noise and the data sheets make a standard normal number. One wrong number pulls at all others. So the
-one whose data sheet is wrong with the largest Bayes factor is not believed any more: its prior becomes wide;
-and so on, until no other stands out (Baarda's data snooping, by groups of numbers on one data sheet). Of a
-group whose sheet has the width W if it is wrong, and S if it is right, the factor is that of two densities of
-q (c - f): normal, with covariances q + q W q and q + q S q. What the log does not show adds nothing, and what
-W leaves open without need counts against it.
+which noise and the data sheets make a standard normal number. A data sheet errs by a share, its logarithm phi
+by a length; a log shows the number itself, for a force is proportional to a mass. So t is the lesser of the
+two: where the log's error is normal in phi, and where it is in exp(phi) (`_proportional`).
 
-Numbers that stood out at the same time may explain the same. One is only contradicted if it is so with the
-others left open, too.
+A number's chance is that its sheet is right and a right one differs more: the mean over the sets, by how
+likely these are, of the chances of t, where a set without its sheet has none (Meng 1994, "Posterior
+predictive p-values"); or that of t with the sheets of the best set left open, if that is larger. What other
+wrong numbers explain as well is so not contradicted, nor is what stands on a wrong sheet and is right.
 
 Of many numbers some differ by chance: Holm's steps (1979) keep the chance that a table calls any right number
 contradicted at 5 %, and so the share of such verdicts that are wrong.
@@ -27,22 +36,25 @@ contradicted at 5 %, and so the share of such verdicts that are wrong.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Hashable, Mapping, Sequence, Set
+from dataclasses import dataclass, replace
 from math import erfc, sqrt
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
-from amhe_cli.core.statistics import positive
 
 #: Name of a group of numbers.
 K = TypeVar("K", bound=Hashable)
 #: Share of tables that may call a right number contradicted.
 RATE = 0.05
-#: Logarithm of a Bayes factor that is strong evidence (Kass and Raftery 1995, "Bayes factors").
+#: Logarithm of the odds that a data sheet is right: one of twenty is wrong.
 _STRONG = 3.0
+#: Sets of other wrong sheets under which a number is tested.
+_SETS = 4
+#: The least of a logarithm of odds that is worth a step: rounding leads nowhere.
+_LEAST = 1e-3
 #: The least of anything that is divided by.
 _TINY = 1e-12
 
@@ -52,16 +64,18 @@ class Findings:
     """What logs say of d parameters, all on their own scales phi.
 
     Args:
-        mean: The estimate, shape (d,).
+        mean: The estimate, shape (d,), as without bounds: the minimum of the linearised cost.
         prior: Mean and sd of the priors that it was made with, shape (2, d).
         information: Of the logs, shape (d, d).
         covariance: Of the estimate, with all terms of its ledger, shape (d, d).
+        at: Where the logs were linearised, shape (d,).
     """
 
     mean: FloatArray
     prior: FloatArray
     information: FloatArray
     covariance: FloatArray
+    at: FloatArray
 
     def known(self) -> FloatArray:
         """Covariance that noise and priors leave, shape (d, d)."""
@@ -69,11 +83,16 @@ class Findings:
 
     def with_priors(self, sd: FloatArray) -> Findings:
         """The same logs under priors of other sd (d,), as far as they are linear."""
-        precision = self.prior[1] ** -2.0
-        score = self.information @ self.mean + precision * (self.mean - self.prior[0])
         matrix = self.information + np.diag(sd**-2.0)
-        mean = np.linalg.solve(matrix, score + sd**-2.0 * self.prior[0])
-        return Findings(mean, np.array([self.prior[0], sd]), self.information, sealed(np.linalg.inv(matrix)))
+        mean = np.linalg.solve(matrix, self.score() + sd**-2.0 * self.prior[0])
+        more = self.covariance - self.known()
+        return replace(
+            self, mean=mean, prior=np.array([self.prior[0], sd]), covariance=np.linalg.inv(matrix) + more
+        )
+
+    def score(self) -> FloatArray:
+        """Information times what the logs alone would say, shape (d,)."""
+        return self.information @ self.mean + self.prior[1] ** -2.0 * (self.mean - self.prior[0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,13 +109,16 @@ class Said:
     t: FloatArray
 
 
-def said(evidence: Findings, rows: Sequence[int], file: FloatArray, sheet: FloatArray) -> Said:
+def said(
+    evidence: Findings, rows: Sequence[int], file: FloatArray, sheet: FloatArray, log: BoolArray
+) -> Said:
     """What the logs say of single numbers.
 
     Args:
         evidence: The estimate.
         rows: The numbers' parameters.
         file, sheet: What the file says of them, and the sd of its data sheet, shape (k,).
+        log: Which of them are logarithms, shape (k,).
     """
     known, at = evidence.known().diagonal()[list(rows)], list(rows)
     more = np.maximum(evidence.covariance.diagonal()[at] - known, 0.0)
@@ -104,42 +126,135 @@ def said(evidence: Findings, rows: Sequence[int], file: FloatArray, sheet: Float
     q = np.maximum(1.0 / known - p**-2.0, _TINY * p**-2.0)
     mean = (m / known - n / p**2) / q
     sd = np.sqrt(1.0 / q + more / (known * q) ** 2)
-    return Said(mean, sd, (mean - file) / np.sqrt(sd**2 + sheet**2))
+    t = (mean - file) / np.sqrt(sd**2 + sheet**2)
+    other = np.sign(t) * _proportional(mean - evidence.at[at], sd, file - evidence.at[at], sheet)
+    return Said(mean, sd, np.where(log & (np.abs(other) < np.abs(t)), other, t))
 
 
-def outstanding(
-    evidence: Findings,
-    groups: Mapping[K, Sequence[int]],
-    file: FloatArray,
-    sheet: FloatArray,
-    wide: FloatArray,
-) -> list[K]:
-    """The groups of numbers whose data sheet is wrong by strong evidence, each alone; the strongest first.
+def _proportional(said: FloatArray, sd: FloatArray, file: FloatArray, sheet: FloatArray) -> FloatArray:
+    """How far apart a log and a file are, where the log's error is normal in exp(phi), shape (k,).
+
+    It is the root of the least sum of squares that a value leaves, in sd of both.
 
     Args:
-        evidence: The estimate, every number with its data sheet's sd as its prior, or a wide one.
-        groups: Numbers on one data sheet, as parameters.
-        file, sheet, wide: Of all parameters: what the file says, the sd of a data sheet that is right, and of
-            one that is wrong, shape (d,).
+        said, sd: What the log says of phi, from where it was linearised.
+        file, sheet: What the file says of it.
     """
-    known, factors = evidence.known(), dict[K, float]()
-    for name, rows in groups.items():
-        at, n, p = list(rows), evidence.prior[0, rows], evidence.prior[1, rows]
-        inverse = np.linalg.inv(known[np.ix_(at, at)])
-        q = positive(inverse - np.diag(p**-2.0))
-        u = inverse @ evidence.mean[at] - n / p**2 - q @ file[at]
-        factors[name] = _log_density(u, q, wide[at]) - _log_density(u, q, sheet[at])
-    strong = [name for name, factor in factors.items() if factor > _STRONG]
-    return sorted(strong, key=lambda name: -factors[name])
+    shares = np.linspace(0.0, 1.0, 2001)[:, None]  # of the way from the file's value to the log's
+    there = np.log(np.maximum(1.0 + said, _TINY))
+    phi = file + shares * (there - file)
+    off = np.expm1(np.minimum(phi, 50.0)) - said
+    return np.sqrt(((off / sd) ** 2 + ((phi - file) / sheet) ** 2).min(axis=0))
 
 
-def _log_density(u: FloatArray, q: FloatArray, sd: FloatArray) -> float:
-    """Of the score u = q (c - f), where f is known to sd (k,), but for what does not depend on sd."""
-    spread = np.eye(len(u)) + sd[:, None] * q * sd
-    return -0.5 * float(
-        u @ np.linalg.pinv(q + q @ np.diag(sd**2) @ q, rcond=1e-9, hermitian=True) @ u
-        + np.linalg.slogdet(spread)[1]
-    )
+@dataclass(frozen=True, slots=True, eq=False)
+class Sheets(Generic[K]):
+    """Data sheets: what the file says of all parameters, and how far they may be off, shape (d,) each.
+
+    Args:
+        groups: The numbers on each, as parameters.
+        file: What the file says.
+        right, wide: Sd of a sheet that is right, and of one that is wrong.
+    """
+
+    groups: Mapping[K, Sequence[int]]
+    file: FloatArray
+    right: FloatArray
+    wide: FloatArray
+
+    def sd(self, wrong: Collection[K]) -> FloatArray:
+        """Sd of all parameters where some sheets are wrong, shape (d,)."""
+        rows = [row for name in wrong for row in self.groups[name]]
+        return np.where(np.isin(np.arange(len(self.right)), rows), self.wide, self.right)
+
+
+def wrong_sheets(
+    evidence: Findings, sheets: Sheets[K], begin: frozenset[K] = frozenset()
+) -> dict[frozenset[K], float]:
+    """Sets of data sheets that may be wrong -> logarithm of how likely each is, the likeliest first.
+
+    Args:
+        evidence: What the logs say.
+        sheets: The data sheets.
+        begin: The set from which the search begins.
+    """
+    found = {begin: 0.0}
+    best = _climbed(evidence, sheets, found, begin, frozenset())
+    for name in best:  # what explains the logs if this one is right
+        _climbed(evidence, sheets, found, best - {name}, frozenset({name}))
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def _climbed(
+    evidence: Findings, sheets: Sheets[K], found: dict[frozenset[K], float], at: frozenset[K], barred: Set[K]
+) -> frozenset[K]:
+    """The set from which no step leads to a likelier one; what is seen on the way comes to those `found`."""
+    information = evidence.information
+    score = evidence.score() - information @ sheets.file
+    while True:
+        near = _changed(information, score, sheets, at)
+        for less in at:  # another in its place
+            fewer = at - {less}
+            swapped = _changed(information, score, sheets, fewer)
+            near |= {other: near[fewer] + more for other, more in swapped.items()}
+        near = {other: found[at] + more for other, more in near.items() if not other & barred}
+        for other, value in near.items():
+            found.setdefault(other, value)
+        best = max(near, key=found.__getitem__, default=at)
+        if not near or found[best] <= found[at] + _LEAST:
+            return at
+        at = best
+
+
+def judged(
+    evidence: Findings,
+    sheets: Sheets[K],
+    likely: Mapping[frozenset[K], float],
+    rows: Sequence[int],
+    log: BoolArray,
+) -> tuple[Said, FloatArray]:
+    """Tests of single numbers, by the sets of wrong sheets that are likely.
+
+    Args:
+        evidence: The estimate.
+        sheets: The data sheets.
+        likely: Sets, the likeliest first, of `wrong_sheets`.
+        rows: The numbers' parameters, each on a sheet.
+        log: Which of them are logarithms, shape (k,).
+
+    Returns:
+        What the logs say with the priors of the estimate, and the chance of each number (k,).
+    """
+    sheet, at = {row: name for name, group in sheets.groups.items() for row in group}, list(rows)
+    names, of = [sheet[row] for row in rows], (sheets.file[at], sheets.right[at], log)
+    here = said(evidence, rows, *of)
+    chance, weight, seen, right = np.zeros((4, len(rows)))
+    weights = np.exp(np.array(list(likely.values())) - max(likely.values()))
+    for one, share in zip(likely, weights / weights.sum(), strict=True):
+        believed = np.array([name not in one for name in names])
+        right += believed * share
+        if (asked := believed & (seen < _SETS)).any():
+            far = chances(said(evidence.with_priors(sheets.sd(one)), rows, *of).t)
+            chance, weight, seen = chance + asked * share * far, weight + asked * share, seen + asked
+    return here, np.maximum(chances(here.t), right * chance / np.maximum(weight, 1e-300))
+
+
+def _changed(
+    information: FloatArray, score: FloatArray, sheets: Sheets[K], wrong: frozenset[K]
+) -> dict[frozenset[K], float]:
+    """Sets that differ from one by one sheet -> logarithm of by how much likelier they are."""
+    sd = sheets.sd(wrong)
+    known = np.linalg.inv(information + np.diag(sd**-2.0))
+    open_to = information - information @ known @ information
+    left, found = score - information @ (known @ score), dict[frozenset[K], float]()
+    for name, rows in sheets.groups.items():
+        at, back = list(rows), name in wrong
+        more = (sheets.wide[at] ** 2 - sheets.right[at] ** 2) * (-1.0 if back else 1.0)
+        spread = np.eye(len(at)) + more[:, None] * open_to[np.ix_(at, at)]
+        u = left[at]
+        gain = 0.5 * float(u @ np.linalg.solve(spread, more * u) - np.linalg.slogdet(spread)[1])
+        found[wrong ^ {name}] = gain + (_STRONG if back else -_STRONG)
+    return found
 
 
 def chances(t: FloatArray) -> FloatArray:

@@ -154,6 +154,7 @@ def conclude(search: Search, *, quick: bool = False) -> Identification:
         missing=missing,
         determined=summary_of_efforts(fit, ledger.covariance, held_out) if effort else (),
         information=fit.posterior.hessian - fit.posterior.prior,
+        unbounded=fit.z + fit.posterior.step,
     )
 
 

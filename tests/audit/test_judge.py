@@ -1,12 +1,13 @@
 """The audit's judgement, and its files."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from amhe_cli.audit.files import compare
-from amhe_cli.audit.judge import RATE, Findings, chances, contradicted, outstanding, said
+from amhe_cli.audit.judge import RATE, Findings, Sheets, chances, contradicted, judged, said, wrong_sheets
 from amhe_cli.system.model.files import compiled, read_spec
 from amhe_cli.system.numbers import numbers_of
 
@@ -16,7 +17,17 @@ def findings(information: np.ndarray, truth: np.ndarray, sheet: np.ndarray, nois
     precision = np.diag(sheet**-2.0)
     covariance = np.linalg.inv(information + precision)
     mean = covariance @ (information @ truth + noise)
-    return Findings(mean, np.array([np.zeros(len(truth)), sheet]), information, covariance)
+    return Findings(mean, np.array([np.zeros(len(truth)), sheet]), information, covariance, mean)
+
+
+def linear(d: int) -> np.ndarray:
+    """No number is a logarithm."""
+    return np.zeros(d, dtype=bool)
+
+
+def likeliest(found: Findings, groups: dict, file: np.ndarray, right: np.ndarray, wide: np.ndarray) -> set:
+    """The set of sheets that are most likely wrong."""
+    return set(next(iter(wrong_sheets(found, Sheets(groups, file, right, wide)))))
 
 
 def drawn(rng: np.random.Generator, d: int) -> tuple[np.ndarray, np.ndarray]:
@@ -31,7 +42,7 @@ def test_a_right_file_gives_a_standard_normal_number() -> None:
     for _ in range(4000):
         information, noise = drawn(rng, 3)
         truth = sheet * rng.standard_normal(3)
-        t.append(said(findings(information, truth, sheet, noise), [0, 1, 2], np.zeros(3), sheet).t)
+        t.append(said(findings(information, truth, sheet, noise), [0, 1, 2], np.zeros(3), sheet, linear(3)).t)
     assert np.allclose(np.mean(t, axis=0), 0.0, atol=0.06)
     assert np.allclose(np.std(t, axis=0), 1.0, atol=0.05)
 
@@ -40,7 +51,7 @@ def test_the_files_own_prior_does_not_speak_for_it() -> None:
     information = np.array([[25.0]])
     for width in (0.1, 1.0, 10.0):  # however tightly the search was held to the file
         found = findings(information, np.array([1.0]), np.array([width]), np.zeros(1))
-        logged = said(found, [0], np.zeros(1), np.array([0.1]))
+        logged = said(found, [0], np.zeros(1), np.array([0.1]), linear(1))
         assert np.isclose(logged.mean[0], 1.0)
         assert np.isclose(logged.sd[0], 0.2)
         assert np.isclose(logged.t[0], 1.0 / np.hypot(0.2, 0.1))
@@ -48,16 +59,18 @@ def test_the_files_own_prior_does_not_speak_for_it() -> None:
 
 def test_more_errors_than_noise_widen_what_a_log_says() -> None:
     found = findings(np.array([[25.0]]), np.array([1.0]), np.array([10.0]), np.zeros(1))
-    wider = Findings(found.mean, found.prior, found.information, found.covariance + 0.3**2)
-    assert np.isclose(said(wider, [0], np.zeros(1), np.ones(1)).sd[0], np.hypot(0.2, 0.3), rtol=2e-3)
+    wider = Findings(found.mean, found.prior, found.information, found.covariance + 0.3**2, found.mean)
+    assert np.isclose(
+        said(wider, [0], np.zeros(1), np.ones(1), linear(1)).sd[0], np.hypot(0.2, 0.3), rtol=2e-3
+    )
 
 
 def test_a_log_that_says_nothing_contradicts_nothing() -> None:
     found = findings(np.zeros((2, 2)), np.array([5.0, 5.0]), np.ones(2), np.zeros(2))
-    logged = said(found, [0, 1], np.zeros(2), np.ones(2))
+    logged = said(found, [0, 1], np.zeros(2), np.ones(2), linear(2))
     assert (logged.sd > 1e4).all()
     assert not contradicted(chances(logged.t)).any()
-    assert outstanding(found, {"a": [0], "b": [1]}, np.zeros(2), np.ones(2), np.full(2, 10.0)) == []
+    assert not likeliest(found, {"a": [0], "b": [1]}, np.zeros(2), np.ones(2), np.full(2, 10.0))
 
 
 def test_the_wrong_number_stands_out_and_the_others_are_right_without_it() -> None:
@@ -66,21 +79,19 @@ def test_the_wrong_number_stands_out_and_the_others_are_right_without_it() -> No
     information, truth, sheet = 100.0 * root.T @ root, np.zeros(d), np.full(d, 0.1)
     truth[2] = 3.0
     found = findings(information, truth, sheet, np.zeros(d))
-    groups = {i: [i] for i in range(d)}
-    assert outstanding(found, groups, np.zeros(d), sheet, 100.0 * sheet)[0] == 2
-    wide = found.with_priors(np.where(np.arange(d) == 2, 10.0, sheet))
-    del groups[2]
-    assert outstanding(wide, groups, np.zeros(d), sheet, 100.0 * sheet) == []
-    t = said(wide, list(range(d)), np.zeros(d), sheet).t
-    assert contradicted(chances(t)).tolist() == [False, False, True, False, False]
+    sheets = Sheets({i: [i] for i in range(d)}, np.zeros(d), sheet, 100.0 * sheet)
+    likely = wrong_sheets(found, sheets)
+    assert next(iter(likely)) == {2}
+    _, chance = judged(found, sheets, likely, list(range(d)), linear(d))
+    assert contradicted(chance).tolist() == [False, False, True, False, False]
 
 
 def test_numbers_of_one_data_sheet_stand_out_together() -> None:
     truth, sheet = np.array([0.3, 0.3, 0.3, 0.0]), np.full(4, 0.1)
     found = findings(1e4 * np.eye(4), truth, sheet, np.zeros(4))
     of = (np.zeros(4), sheet, 10.0 * sheet)
-    assert outstanding(found, {"alone": [0], "other": [3]}, *of) == []
-    assert outstanding(found, {"sheet": [0, 1, 2], "other": [3]}, *of) == ["sheet"]
+    assert likeliest(found, {"alone": [0], "other": [3]}, *of) == set()
+    assert likeliest(found, {"sheet": [0, 1, 2], "other": [3]}, *of) == {"sheet"}
 
 
 def test_what_stands_out_is_that_by_bayes_rule() -> None:
@@ -92,8 +103,8 @@ def test_what_stands_out_is_that_by_bayes_rule() -> None:
     for far in np.linspace(0.0, 2.0, 41):
         found = findings(np.array([[25.0]]), np.array([far]), np.array([0.3]), np.zeros(1))
         factor = density(far, 0.04 + 4.0) - density(far, 0.04 + 0.09)
-        out = outstanding(found, {"it": [0]}, np.zeros(1), np.array([0.3]), np.array([2.0]))
-        assert (out == ["it"]) == (factor > 3.0)
+        out = likeliest(found, {"it": [0]}, np.zeros(1), np.array([0.3]), np.array([2.0]))
+        assert (out == {"it"}) == (factor > 3.0)
 
 
 def test_of_tables_of_right_numbers_few_have_a_contradiction() -> None:
@@ -102,15 +113,41 @@ def test_of_tables_of_right_numbers_few_have_a_contradiction() -> None:
     assert 0.02 < np.mean(tables) < RATE + 0.02
 
 
-def test_what_another_number_explains_as_well_does_not_stand_out_with_that_left_open() -> None:
+def test_what_another_number_explains_as_well_contradicts_neither() -> None:
     """The log knows the sum of two numbers, and one of them is wrong."""
     information, truth, sheet = 1e4 * np.ones((2, 2)), np.array([0.0, 1.0]), np.full(2, 0.1)
     found = findings(information, truth, sheet, np.zeros(2))
-    groups = {"one": [0], "other": [1]}
-    assert set(outstanding(found, groups, np.zeros(2), sheet, 10.0 * sheet)) == {"one", "other"}
-    assert np.abs(said(found, [0, 1], np.zeros(2), sheet).t).min() > 5.0
-    both = said(found.with_priors(10.0 * sheet), [0, 1], np.zeros(2), sheet)
-    assert not contradicted(chances(both.t)).any()
+    sheets = Sheets({"one": [0], "other": [1]}, np.zeros(2), sheet, 10.0 * sheet)
+    likely = wrong_sheets(found, sheets)
+    assert len(next(iter(likely))) == 1
+    assert np.abs(said(found, [0, 1], np.zeros(2), sheet, linear(2)).t).min() > 5.0
+    assert not contradicted(judged(found, sheets, likely, [0, 1], linear(2))[1]).any()
+
+
+@pytest.mark.parametrize("begin", [(), (0, 1), (0, 2), (0, 1, 2)])
+def test_one_wrong_number_is_told_from_two_that_make_up_for_it(begin: tuple[int, ...]) -> None:
+    """The third acts as the first two together, and each of the two is believed from the beginning."""
+    rng, sheet, groups = np.random.default_rng(3), np.full(3, 0.1), {i: [i] for i in range(3)}
+    root = rng.standard_normal((40, 2)) @ np.array([[1.0, 0.0, 0.7], [0.0, 1.0, 0.7]])
+    found = findings(1e4 * root.T @ root, np.array([0.0, 0.0, 1.0]), sheet, np.zeros(3))
+    likely = wrong_sheets(found, Sheets(groups, np.zeros(3), sheet, 10.0 * sheet), frozenset(begin))
+    assert next(iter(likely)) == {2}
+
+
+@pytest.mark.parametrize("truth", [0.2, 1.0, 5.0])
+def test_a_mass_is_as_far_off_as_its_forces_say(truth: float) -> None:
+    """A force is proportional to a mass: its error in newtons is the same, however heavy the body is."""
+    rng, sd, sheet, t = np.random.default_rng(4), 0.15, 0.1, []
+    for _ in range(2000):
+        file, heard = truth * np.exp(sheet * rng.standard_normal()), truth + sd * rng.standard_normal()
+        at = max(heard, 0.05)  # where the search ends
+        found = findings(
+            np.array([[(at / sd) ** 2]]), np.array([heard / at - 1.0]), np.array([50.0]), np.zeros(1)
+        )
+        f = np.array([np.log(file / at)])
+        found = replace(found, at=np.zeros(1))
+        t.append(float(said(found, [0], f, np.array([sheet]), np.array([True])).t[0]))
+    assert np.mean(np.abs(t) > 2.0) < 0.06  # 0.05
 
 
 ROOT = Path(__file__).parents[2]
