@@ -99,8 +99,10 @@ def _with_frictions(systems: Sequence[System]) -> list[System]:
 def _lines(plain: System, name: str) -> list[str]:
     """What to write into `system.yaml` to go on with a friction model."""
     from amhe_cli.core.yaml_file import flow
-    from amhe_cli.system.friction_models import MODELS, friction_entries
+    from amhe_cli.system.friction_models import MODELS, friction_entries, of_gears
 
-    entries = friction_entries(plain, name)
-    head = f"{name}: {MODELS[name][1]}" + ("; add to the parameters of system.yaml:" if entries else "")
+    entries, own = friction_entries(plain, name), ", ".join(of_gears(plain))
+    where = f"; in the parameters of system.yaml, in place of {own}:" if own else ""
+    where = where or ("; add to the parameters of system.yaml:" if entries else "")
+    head = f"{name}: {MODELS[name][1]}{where}"
     return [head, *(f"  {key}: {flow(entry)}" for key, entry in entries.items())]

@@ -12,6 +12,7 @@ import numpy as np
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.yaml_file import merged
 from amhe_cli.system.model.elements import matching_rows
+from amhe_cli.system.parameters.gear_friction import GEARS
 from amhe_cli.system.system import System
 
 _STRIBECK = ("stribeck_friction", "stribeck_velocity")
@@ -33,21 +34,36 @@ _SPEED, _SPEED_SD = 0.2, 1.0
 
 
 def friction_models(system: System) -> dict[str, System]:
-    """The system with each of the friction models, by name.
+    """The system with each of the friction models, by name, in place of its own parameters of gears.
 
     Joints that share a parameter of dry friction share the further numbers too.
 
     Raises:
-        ConfigError: The system has no folder, no geared joint, or further numbers of its own.
+        ConfigError: The system has no folder, or no geared joint.
     """
     if system.folder is None:
         raise ConfigError(
             "`friction`: give a system folder; one of a model alone has no file to add lines to"
         )
-    given = {name: merged(system.given, {"parameters": friction_entries(system, name)}) for name in MODELS}
+    own = dict.fromkeys(of_gears(system))
+    given = {
+        name: merged(system.given, {"parameters": own | friction_entries(system, name)}) for name in MODELS
+    }
     return {
         name: replace(System.load(system.folder, more, warn=False), name=name) for name, more in given.items()
     }
+
+
+def of_gears(system: System) -> list[str]:
+    """Names of the system's own parameters of its gears' friction."""
+    return [
+        parameter.name
+        for parameter, written in system.edits.by_parameter()
+        if any(
+            cells.field == "numeric_data" and GEARS.element(system.model, cells.row) is not None
+            for cells in written
+        )
+    ]
 
 
 def friction_entries(system: System, name: str) -> dict[str, Any]:
@@ -80,8 +96,6 @@ def _entry(model: mujoco.MjModel, word: str, joints: list[str]) -> dict[str, Any
 def _groups(system: System) -> dict[str, list[str]]:
     """Geared joints that share one parameter of dry friction, by what their parameters' names begin with."""
     model, patterns = system.model, system.settings.identify.geared
-    if any(cells.field == "numeric_data" for cells in system.edits.cells):
-        raise ConfigError("`friction`: the system has parameters of its gears' friction: leave them out")
     driven = model.actuator_trnid[model.actuator_trntype <= 1, 0]
     rows = {row for pattern in patterns for row in matching_rows(model, "joint", pattern)} or set(driven)
     shared = {

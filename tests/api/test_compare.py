@@ -140,5 +140,7 @@ def test_the_smallest_friction_model_that_explains_a_geared_joint_wins(tmp_path:
     (folder / "system.yaml").write_text(again)
     system = amhe.System.load(folder)
     assert "load_friction" in system.space.names
-    with pytest.raises(amhe.AmheError, match="parameters of its gears' friction"):
-        friction_models(system)
+    names = {name: list(one.space.names) for name, one in friction_models(system).items()}
+    assert "load_friction" not in names["M1"]  # its own are taken away
+    assert "load_friction" in names["M3"]
+    assert "load_friction_motor" in names["M5"]

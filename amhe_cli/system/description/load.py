@@ -43,6 +43,7 @@ def load(
     folder, overrides = find_system(name_or_folder), settings or {}
     file = YamlFile(folder / FILE_NAME, _placed(overrides), patient=True)
     _check_names(file, overrides, schema)
+    file.data = _without(file.data, overrides)
     entry = validated(file, schema)
     spec = None if entry is None else _spec(file, folder / entry.model, entry)
     if entry is None or spec is None:
@@ -88,7 +89,7 @@ def described(
 def matched(data: SystemData, match: str) -> SystemData:
     """See `System.matching`."""
     assert data.original is not None, "specs are only left out for other processes"
-    given = merged(yaml.safe_load(data.text), _placed(data.given))
+    given = _without(merged(yaml.safe_load(data.text), _placed(data.given)), data.given)
     own = {key: value for key, value in given.items() if key not in ("boxes", "model", "match")}
     arguments = Arguments({**own, "model": data.name, "match": match})
     entry = validated(arguments, type(data.settings))
@@ -230,6 +231,16 @@ def _placed(overrides: Mapping[str, Any]) -> dict[str, Any]:
     top_level = {key: value for key, value in overrides.items() if key in _OWN_KEYS}
     settings = {key: value for key, value in overrides.items() if key not in _OWN_KEYS}
     return merged(top_level, {"settings": settings}) if settings else top_level
+
+
+def _without(given: dict[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """A description without the parameters that an override sets to nothing."""
+    gone = [name for name, value in (overrides.get("parameters") or {}).items() if value is None]
+    return (
+        given | {"parameters": {n: v for n, v in given["parameters"].items() if n not in gone}}
+        if gone
+        else given
+    )
 
 
 def _check_names(file: YamlFile, overrides: Mapping[str, Any], schema: type[Settings]) -> None:
