@@ -53,9 +53,9 @@ def compare(session: Session, given: Given) -> None:
     names, more = _parted(given.systems)
     logs, folder = given.logs + each_episode(more), given.reserve()
     inputs = [replace(given.inputs, system=name) for name in names]
-    systems = [one.open(logs) for one in inputs]
+    systems = opened = [one.open(logs) for one in inputs]
     if given.friction:
-        systems = _with_frictions(systems)
+        systems = _with_frictions(opened)
         inputs = inputs * len(systems)
     pairs = list(zip(inputs, systems, strict=True))
     read = [one.read(system, logs) for one, system in pairs]
@@ -72,7 +72,7 @@ def compare(session: Session, given: Given) -> None:
     for text in found.verdicts:
         console.print(text)
     if given.friction:
-        console.print("\n".join(_lines(systems[0], found.names[found.best])), soft_wrap=True)
+        console.print("\n".join(_lines(opened[0], found.names[found.best])), soft_wrap=True)
     console.print(f"report: {folder / 'report.html'}", soft_wrap=True)
 
 
@@ -96,12 +96,12 @@ def _with_frictions(systems: Sequence[System]) -> list[System]:
     return list(friction_models(systems[0]).values())
 
 
-def _lines(plain: System, name: str) -> list[str]:
+def _lines(system: System, name: str) -> list[str]:
     """What to write into `system.yaml` to go on with a friction model."""
     from amhe_cli.core.yaml_file import flow
     from amhe_cli.system.friction_models import MODELS, friction_entries, of_gears
 
-    entries, own = friction_entries(plain, name), ", ".join(of_gears(plain))
+    entries, own = friction_entries(system, name), ", ".join(of_gears(system))
     where = f"; in the parameters of system.yaml, in place of {own}:" if own else ""
     where = where or ("; add to the parameters of system.yaml:" if entries else "")
     head = f"{name}: {MODELS[name][1]}{where}"
