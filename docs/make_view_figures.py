@@ -88,8 +88,8 @@ def true_ghost(name: str) -> SavedView:
     path = DOCS.parent / "examples" / "logs" / f"{name}.mcap"
     about = read_metadata(path)
     system = amhe.System.load(about["system"])
-    truth = json.loads(about["truth"])
-    z = system.space.z_of(np.array([truth[name] for name in system.space.names]))
+    known = system.space.named(system.space.nominal) | json.loads(about["truth"])
+    z = system.space.z_of(np.array([known[name] for name in system.space.names]))
     return amhe.show(system, amhe.read_log(path, system), belief_of(system, z, 1e-4 * np.eye(len(z))))
 
 

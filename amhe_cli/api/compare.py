@@ -162,11 +162,13 @@ def compare(
 def _verdicts(
     found: Sequence[AtHorizon], names: Sequence[str], best: int, settled: Sequence[bool]
 ) -> tuple[str, ...]:
-    """What the logs say of the best system against each other one; nothing while a search has not ended."""
-    if all(settled):
-        return tuple(verdict(found, names, best, i) for i in range(len(names)) if i != best)
-    short = " and ".join(name for name, ended in zip(names, settled, strict=True) if not ended)
-    return (f"no model is called better: the search of {short} did not end; give it longer (`max_time`)",)
+    """What the logs say of the best system against each other one whose search has ended."""
+    others = [i for i in range(len(names)) if i != best]
+    ended = [verdict(found, names, best, i) for i in others if settled[i]]
+    if not (short := " and ".join(names[i] for i in others if not settled[i])):
+        return tuple(ended)
+    more = "give it more (`identify.iterations`, `max_time`)"
+    return (*ended, f"no model is called better than {short}, whose search did not end; {more}")
 
 
 def _names(systems: Sequence[System]) -> tuple[str, ...]:

@@ -41,7 +41,7 @@ from amhe_cli.estimation.uncertainty.misfit import (
     left_out,
     misfits,
     report_misfit,
-    report_unsettled,
+    still_moving,
     unexplained,
 )
 from amhe_cli.estimation.uncertainty.parts import REFITS, estimates, parts, report_drift
@@ -147,7 +147,7 @@ def conclude(search: Search, *, quick: bool = False) -> Identification:
         exact=exact,
         fits=fits(problem, fit.z, validation or list(problem.clips), bool(validation)),
         interrupted=watch.interrupted,
-        settled=not watch.cut_short,
+        settled=not (watch.cut_short or still_moving(fit)),
         bodies=body_numbers(system, fit.z, ledger, problem.rng(5), misfit),
         logs=tuple(dict.fromkeys(part.log.source for part in problem.pool.parts)),
         runs=estimates(fit),
@@ -226,7 +226,11 @@ def _judged(
     if fit.finding.done:
         advice = "; compare measured with predicted in the report, and free what the model may lack"
         report_misfit(fit)
-        report_unsettled(fit)
+        if moving := still_moving(fit):
+            logger.warning(
+                f"the search stopped before it settled ({moving} was still moving): give it more with "
+                "`identify.iterations`"
+            )
     else:  # of a search that was cut short, misfit says nothing of the model
         against, shown, advice = (watch.short,) * bool(against or shown), (), ""
     for text in against:

@@ -52,11 +52,16 @@ def comparison_record(compared: Compared) -> dict[str, Any]:
     return plain(
         {
             "systems": [_system_record(name, one) for name, one in zip(names, compared.found, strict=True)],
-            "best": names[best] if all(one.settled for one in compared.found) else None,
+            "best": names[best] if _settled(compared) else None,
             "verdicts": list(compared.verdicts),
             "horizons": [horizon_record(names, at, best) for at in compared.horizons],
         }
     )
+
+
+def _settled(compared: Compared) -> bool:
+    """Whether every search has ended whose model may still come to predict best."""
+    return all(one.settled for i, one in enumerate(compared.found) if i != compared.best)
 
 
 def _system_record(name: str, found: Identification) -> dict[str, Any]:
@@ -102,7 +107,7 @@ def write_comparison(
 
 def _page(compared: Compared, record: Mapping[str, Any], provenance: Mapping[str, Any]) -> str:
     names, horizons, best, verdicts = compared.names, compared.horizons, compared.best, compared.verdicts
-    settled = all(one.settled for one in compared.found)
+    settled = _settled(compared)
     clear = settled and not any("cannot tell" in text for text in verdicts)
     headline = f"{names[best]} predicts best." if clear else "The logs do not single out one model."
     return result_page(

@@ -52,9 +52,10 @@ def test_no_model_wins_while_a_search_has_not_ended(
     stiff = free.fixing({"damping": 0.4})
     logs = [[amhe.read_log(pendulum_log, one)] for one in (free, stiff)]
     found = amhe.compare([free, stiff], logs, max_time=0.05)
+    other = found.names[1 - found.best]
     assert found.verdicts == (
-        "no model is called better: the search of pendulum-1 and pendulum-2 did not end; give it longer "
-        "(`max_time`)",
+        f"no model is called better than {other}, whose search did not end; give it more "
+        "(`identify.iterations`, `max_time`)",
     )
     assert found.record()["best"] is None
     stopped = [text for text in caplog.messages if "stopped the search" in text]

@@ -411,7 +411,7 @@ class Identification:
     unexplained: tuple[str, ...] = ()  # why no value can be believed
     exact: tuple[str, ...] = ()  # settings of numbers of the model that act and are taken as exact
     interrupted: bool = False
-    settled: bool = True  # False: Ctrl-C or the time limit ended the search
+    settled: bool = True  # False: it was still moving, or Ctrl-C or the time limit ended it
     logs: tuple[str, ...] = field(default=())
     spreads: tuple[OwnSpread, ...] = ()
     bodies: tuple[ParameterResult, ...] = ()  # mass, centre and moments, in place of their coordinates

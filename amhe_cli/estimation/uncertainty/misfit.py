@@ -39,8 +39,11 @@ LISTED = 3
 NOISY = 0.1
 
 
-def report_unsettled(fit: FinalFit) -> None:
-    """Warn of a search that stopped on its way; on a non-smooth cost the steps never get short."""
+def still_moving(fit: FinalFit) -> str:
+    """The parameter that was still moving when the search stopped on its way; '' where it had settled.
+
+    On a non-smooth cost the steps never get short.
+    """
     finding, space = fit.finding, fit.space
     left = np.abs(fit.left) / fit.posterior.sd
     moving = isinstance(finding, SearchState) and not (finding.settled or fit.problem.non_smooth)
@@ -51,11 +54,7 @@ def report_unsettled(fit: FinalFit) -> None:
         independent = float(fit.slopes.cost.clips.counts.sum()) / max(fit.times)
         falls = (costs[0] / max(costs[-1], 1e-300) - 1.0) * independent > 1.0
         unsettled = falls and left.max() > (MOVING if moving else UNSETTLED)
-    if unsettled:
-        logger.warning(
-            f"the search stopped before it settled ({space.names[int(left.argmax())]} was still moving): "
-            f"give it more with `identify.iterations`"
-        )
+    return space.names[int(left.argmax())] if unsettled else ""
 
 
 def report_misfit(fit: FinalFit) -> None:
