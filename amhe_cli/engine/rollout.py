@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import mujoco
 import numpy as np
@@ -37,11 +37,10 @@ class Rollouts:
 
 
 def joined(parts: Sequence[Rollouts]) -> Rollouts:
-    """Rollouts of the same length, without sensors, one after the other."""
-    qpos, qvel, completed = (
-        np.concatenate([getattr(part, name) for part in parts]) for name in ("qpos", "qvel", "completed")
-    )
-    return Rollouts(qpos, qvel, None, completed)
+    """Rollouts of the same length, one after the other."""
+    columns = ([getattr(part, name) for part in parts] for name in Rollouts.__slots__)
+    arrays: Any = (None if each[0] is None else np.concatenate(each) for each in columns)
+    return Rollouts(*arrays)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

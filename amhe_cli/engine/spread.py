@@ -28,6 +28,7 @@ from amhe_cli.engine.rollout import (
     Wanted,
     candidates_last,
     cut,
+    joined,
     predicted_in_parts,
 )
 from amhe_cli.system.parameters.model_edits import ModelEdits
@@ -83,14 +84,7 @@ class SpreadEngine:
             (theta[rows], qpos[rows], qvel[rows], inputs[rows], lengths[rows])
             for rows in cut(len(theta), min(_MOST, len(theta) // _LEAST))
         ]
-        parts = self._gathered(_rollout, each)
-        sensors = [part.sensordata for part in parts if part.sensordata is not None]
-        return Rollouts(
-            np.concatenate([part.qpos for part in parts]),
-            np.concatenate([part.qvel for part in parts]),
-            np.concatenate(sensors) if sensors else None,
-            np.concatenate([part.completed for part in parts]),
-        )
+        return joined(self._gathered(_rollout, each))
 
     def predict(
         self, theta: FloatArray, starts: Starts, errors: FloatArray | None, wanted: Sequence[Wanted]

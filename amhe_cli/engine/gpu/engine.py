@@ -87,10 +87,10 @@ class GpuEngine:
         wanted = [Wanted("qpos", rows, tuple(range(model.nq))), Wanted("qvel", rows, tuple(range(model.nv)))]
         if self._blueprint.sensors:
             wanted.append(Wanted("sensordata", rows, tuple(range(model.nsensordata))))
-        job = Job(
-            fields=self._written(theta),
+        job = self._job(
+            theta,
             delays=np.zeros((count, 1)),
-            inputs=inputs.astype(np.float32),
+            inputs=inputs,
             history=0,
             lengths=lengths,
             candidate=each,
@@ -162,10 +162,10 @@ class GpuEngine:
         qpos, qvel = starts.states(model, count, errors)
         each = queues(starts.lengths, count, step_cost(model))
         queue = np.where(each < 0, -1, clips * np.arange(count)[:, None, None] + each)
-        return Job(
-            fields=self._written(theta),
+        return self._job(
+            theta,
             delays=self._edits.delays(theta) / model.opt.timestep,
-            inputs=starts.inputs.astype(np.float32),
+            inputs=starts.inputs,
             history=starts.history,
             lengths=starts.lengths,
             candidate=np.repeat(np.arange(count), clips),
@@ -176,12 +176,12 @@ class GpuEngine:
             wanted=wanted,
         )
 
-    def _written(self, theta: FloatArray) -> dict[str, FloatArray]:
-        """The fields of the model under candidates (p, d)."""
+    def _job(self, theta: FloatArray, *, inputs: FloatArray, **about: Any) -> Job:
+        """A job with the fields of the model under candidates (p, d)."""
         names = self._blueprint.set_by_jobs
         arrays = {name: np.repeat(getattr(self._model, name)[None], len(theta), axis=0) for name in names}
         self._edits.write(arrays, theta)
-        return arrays
+        return Job(fields=arrays, inputs=inputs.astype(np.float32), **about)
 
 
 def _card(blueprint: Blueprint, device: str) -> Any:

@@ -110,17 +110,6 @@ def _stand_back() -> None:
         os.setpriority(os.PRIO_PROCESS, get_native_id(), 19)
 
 
-class _Launch:
-    """A kernel with its arguments, which live as long as it may run."""
-
-    def __init__(self, kernel: Any, size: Any, arguments: Sequence[Any], device: Any) -> None:
-        self._arguments = list(arguments)
-        self._command: Any = wp.launch(kernel, size, self._arguments, device=device, record_cmd=True)
-
-    def __call__(self) -> None:
-        self._command.launch()
-
-
 @dataclass(frozen=True, eq=False)
 class Work:
     """The launches of a job, recorded once for all steps.
@@ -250,7 +239,7 @@ class Worlds:
             full=full,
         )
 
-    def _inputs(self, job: Job, candidate: IntArray, progress: Sequence[Any]) -> list[_Launch]:
+    def _inputs(self, job: Job, candidate: IntArray, progress: Sequence[Any]) -> list[Callable[[], None]]:
         """Launches that write the inputs of a step."""
         if not job.inputs.shape[2]:
             return []
@@ -272,7 +261,7 @@ class Worlds:
                 first += width
         return launches
 
-    def _driven(self) -> list[_Launch]:
+    def _driven(self) -> list[Callable[[], None]]:
         """The launch that gives servos their torques before a step."""
         servos, model, data = self._blueprint.servos, self._model, self._data
         if servos is None:
@@ -289,7 +278,7 @@ class Worlds:
         return [self._recorded(kernels.drive, self._of_servos.shape[:2], arguments)]
 
     def _friction(
-        self, inputs: Sequence[_Launch]
+        self, inputs: Sequence[Callable[[], None]]
     ) -> tuple[list[Callable[[], None]], list[Callable[[], None]]]:
         """Launches that set what friction can hold: of worlds that begin a rollout, and after a step."""
         gear, data = self._blueprint.gear, self._data
@@ -319,7 +308,7 @@ class Worlds:
         )
         return [*inputs, begins, self._forces, first], [later]
 
-    def _records(self, job: Job, into: list[AnyArray], progress: Sequence[Any]) -> list[_Launch]:
+    def _records(self, job: Job, into: list[AnyArray], progress: Sequence[Any]) -> list[Callable[[], None]]:
         """Launches that pick the wanted numbers after a step, of the worlds that have a queue."""
         steps = int(job.lengths.max())
         return [
@@ -385,8 +374,11 @@ class Worlds:
         pointer = values.data.ptr if self._device.is_cuda else values.ctypes.data
         return wp.array(ptr=pointer, shape=values.shape, dtype=kind, device=self._device)
 
-    def _recorded(self, kernel: Any, size: Any, arguments: Sequence[Any]) -> _Launch:
-        return _Launch(kernel, size, arguments, self._device)
+    def _recorded(self, kernel: Any, size: Any, arguments: Sequence[Any]) -> Callable[[], None]:
+        """A launch of a kernel with its arguments, which live as long as it may run."""
+        kept = list(arguments)
+        command: Any = wp.launch(kernel, size, kept, device=self._device, record_cmd=True)
+        return lambda kept=kept: command.launch()
 
 
 def _forces(model: Any, data: Any) -> None:
