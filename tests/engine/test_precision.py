@@ -147,9 +147,10 @@ def test_random_models_on_which_searches_of_other_seeds_differ(model: int) -> No
     np.testing.assert_allclose(np.log(sds[1] / sds[0]), 0.0, atol=np.log(1.3))
 
 
-def bundled(name: str, **settings: Any) -> System:
+def bundled(name: str) -> System:
+    dear = {"iterations": 4, "polish": 1} if name == "go1_push" else {"iterations": 8}
     short = {"clips": {"length": [0.2, 0.3], "count": 4, "held_out": 0.0}}
-    return System.load(name, short | {"identify": {"samples": 16, "iterations": 8}} | settings)
+    return System.load(name, short | {"identify": {"samples": 16, **dear}})
 
 
 def noisy(log: Log, rng: np.random.Generator) -> Log:
