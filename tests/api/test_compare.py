@@ -124,6 +124,7 @@ def test_the_smallest_friction_model_that_explains_a_geared_joint_wins(tmp_path:
     (folder / "system.yaml").write_text(text + signals)
     quick = [
         "--set=clips.count=4",
+        "--set=clips.length=[0.3,1.0]",
         "--set=identify.iterations=3",
         "--set=identify.profile_points=0",
         "--set=identify.first_state=never",
