@@ -136,7 +136,8 @@ def trial(number: int) -> dict[str, Any]:
 
 def row(label: str, trials: list[dict[str, Any]], name: str | None = None) -> tuple[str, ...]:
     """One line of the table, over the parameters of some trials, or over one of them."""
-    parameters = [p for t in trials for p in t["parameters"] if name in (None, p["name"])]
+    by_log = [[p for p in t["parameters"] if name in (None, p["name"])] for t in trials]
+    parameters = [p for one in by_log for p in one]
     claimed = [p for p in parameters if p["verdict"] in ("identified", "conditional")]
     plain = [p for p in parameters if p["verdict"] == "identified"]
     over = np.sqrt(np.mean([p["over_bound"] ** 2 for p in parameters]))
@@ -148,7 +149,7 @@ def row(label: str, trials: list[dict[str, Any]], name: str | None = None) -> tu
         f"{over:.2f}",
         f"{sum(not p['held'] for p in plain)} of {len(plain)}",
         f"{sum(p['held'] for p in claimed)} of {len(claimed)}",
-        f"{np.mean([p['named'] for p in parameters]):.0%}",
+        f"{sum(any(p['named'] for p in one) for one in by_log)} of {len(trials)}",
         ", ".join(f"{v} {n}" for v, n in Counter(p["verdict"] for p in parameters).most_common(3)),
         f"{seconds[len(seconds) // 2]:.1f} s",
     )
@@ -210,7 +211,7 @@ def main() -> None:
     columns = ("model", "of", "intervals hold", "error over bound", "identified, outside", "claimed, hold")
     show(
         f"geared servos, {len(seeds)} seeds",
-        (*columns, "friction named", "verdicts", "CPU"),
+        (*columns, "logs with friction named", "verdicts", "CPU"),
         [row(kind, trials, name) for kind, trials in by_kind.items() for name in (None, "mass")],
     )
 
