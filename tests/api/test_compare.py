@@ -97,6 +97,23 @@ def test_wrong_arguments_are_one_line(pendulum_log: Path) -> None:
         amhe.compare([system, system], [[log], []])
 
 
+def test_friction_models_stand_in_place_of_the_systems_own() -> None:
+    """As `init --drive` writes it: numbers of the gear, which give way, and of the firmware, which stay."""
+    own = {"bounds": [-0.2, 1.0], "nominal": 0.1, "prior_sd": 0.1}
+    numbers = {
+        "share": own | {"targets": [{"joint": "hinge", "set": "load_friction"}]},
+        "punch": own | {"targets": [{"actuator": "servo", "set": "punch"}]},
+    }
+    names = {
+        name: set(one.space.names)
+        for name, one in friction_models(
+            amhe.System.load("pendulum", {"parameters": numbers}, warn=False)
+        ).items()
+    }
+    assert all("punch" in some and "share" not in some for some in names.values())
+    assert names["M3"] - names["M1"] == {"load_friction"}
+
+
 @pytest.mark.slow
 def test_the_smallest_friction_model_that_explains_a_geared_joint_wins(tmp_path: Path) -> None:
     """Its lines can be pasted into system.yaml, and the result is a file like all others."""
