@@ -8,9 +8,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import yaml
 
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.core.yaml_file import merged
 from amhe_cli.system.model.elements import matching_rows
 from amhe_cli.system.parameters.gear_friction import GEARS
 from amhe_cli.system.system import System
@@ -45,13 +45,14 @@ def friction_models(system: System) -> dict[str, System]:
         raise ConfigError(
             "`friction`: give a system folder; one of a model alone has no file to add lines to"
         )
-    own = dict.fromkeys(of_gears(system))
-    given = {
-        name: merged(system.given, {"parameters": own | friction_entries(system, name)}) for name in MODELS
-    }
-    return {
-        name: replace(System.load(system.folder, more, warn=False), name=name) for name, more in given.items()
-    }
+    own, in_file = of_gears(system), yaml.safe_load(system.text)["parameters"]
+    left = {n: entry for n, entry in (system.given.get("parameters") or {}).items() if n not in own}
+    left |= {n: None for n in own if n in in_file}
+    found = {}
+    for name in MODELS:
+        given = dict(system.given) | {"parameters": left | friction_entries(system, name)}
+        found[name] = replace(System.load(system.folder, given, warn=False), name=name)
+    return found
 
 
 def of_gears(system: System) -> list[str]:
