@@ -214,6 +214,8 @@ def test_processes_share_the_cards_of_another_one(monkeypatch: pytest.MonkeyPatc
         with pytest.raises(SimulationError, match="cannot simulate this model: .*PGS"):
             open_engine(PENDULUM, kind=kind, model=spec.compile())
         engine = open_engine(PENDULUM, kind=kind)
+        variant = engine.upon(PENDULUM.model).predict(*arguments)
+        np.testing.assert_array_equal(to_host(variant.values[0]), to_host(alone.values[0]))
     with pytest.raises(SimulationError, match="the process that has the graphics cards has ended"):
         engine.predict(*arguments)
 

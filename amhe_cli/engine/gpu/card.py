@@ -122,6 +122,8 @@ class Card:
 
     def follow(self, other: Card) -> None:
         """Begin with what has proved right upon another model of this layout."""
+        if self._kept:
+            return
         self.part, self.room, self._compilers = other.part, other.room, other._compilers
 
     def stand_back(self) -> None:

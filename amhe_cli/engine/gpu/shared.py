@@ -97,12 +97,13 @@ class SharedCard:
         self._most //= 2
 
     def follow(self, other: SharedCard) -> None:
-        """See `Card.follow`; the other process sees to it."""
+        """See `Card.follow`."""
+        self._ask(other._name)
 
     def stand_back(self) -> None:
-        """See `Card.stand_back`; likewise."""
+        """See `Card.stand_back`; the other process has cores of its own to ask for."""
 
-    def _ask(self, about: bytes | Job) -> Any:
+    def _ask(self, about: bytes | str | Job) -> Any:
         try:
             return self._desk.ask(self._name, about)
         except (EOFError, OSError):
@@ -130,10 +131,15 @@ def _desk_at(address: str) -> _Desk:
 
 @dataclass(frozen=True, eq=False)
 class _Request:
-    """A question that waits for its answer: to begin with a blueprint, which is packed, or to run a job."""
+    """A question that waits for its answer.
+
+    Args:
+        name: Of the blueprint.
+        about: The blueprint itself, packed, to begin with; another one's name, to follow it; or a job.
+    """
 
     name: str
-    about: bytes | Job
+    about: bytes | str | Job
     answer: Future[Any] = field(default_factory=Future)
 
     @property
@@ -176,7 +182,7 @@ class _Desk:
         for device in devices:
             Thread(target=self._work, args=(Card, device), daemon=True).start()
 
-    def ask(self, name: str, about: bytes | Job) -> Any:
+    def ask(self, name: str, about: bytes | str | Job) -> Any:
         """The answer to a question, as soon as a card has it."""
         request = _Request(name, about)
         with self._change:
@@ -201,7 +207,9 @@ class _Desk:
                     cards[name] = card  # the last used is the last to go
                     if len(cards) > KEPT:
                         del cards[next(iter(cards))]
-                    began = time.perf_counter()
+                    about, began = left[0].about, time.perf_counter()
+                    if isinstance(about, str) and about in cards:
+                        card.follow(cards[about])
                     _answer(left, card)
                     jobs = [request.about for request in left if isinstance(request.about, Job)]
                     self._spent.append(
