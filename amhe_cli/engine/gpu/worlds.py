@@ -412,7 +412,6 @@ def _by_row(rows: IntArray, steps: int) -> tuple[IntArray, IntArray]:
     Returns:
         Where each row's samples begin in that order, shape (c, H + 1), and the order, shape (c, s).
     """
-    first = np.zeros((len(rows), steps + 1), dtype=np.int64)
-    clip, sample = np.nonzero(rows < steps)
-    np.add.at(first, (clip, rows[clip, sample] + 1), 1)
-    return first.cumsum(axis=1), np.argsort(rows, axis=1, kind="stable")
+    order = np.argsort(rows, axis=1, kind="stable")
+    first = [np.searchsorted(own[by], np.arange(steps + 1)) for own, by in zip(rows, order, strict=True)]
+    return np.array(first), order
