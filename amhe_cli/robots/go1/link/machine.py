@@ -1,12 +1,12 @@
 """The state machine: what is sent in which phase, what leads from one phase to the next, and what ends a run.
 
-No socket and no clock in here: time and all that is known come in, a command comes out. Each trip is one
-line of a table, with its threshold in the settings.
+No socket and no clock in here: time and all that is known come in, a command comes out. Each trip has its
+threshold in the settings.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -47,10 +47,6 @@ class View:
     targets: FloatArray
 
 
-#: The reason of a trip in words; '' or None if there is none.
-Trip = Callable[[View, TripSettings], str | None]
-
-
 def power(state: RobotState) -> float:
     """Power of all motors [W]."""
     return float(np.abs(state.torques * state.joint_rates).sum())
@@ -63,124 +59,76 @@ def tilt(quaternion: FloatArray) -> float:
     return float(np.arccos(min(1.0, max(-1.0, upright))))
 
 
-def _stopped_by_remote(view: View, limits: TripSettings) -> str | None:
-    keys = pressed(view.state.remote)
-    return "remote control: L2+B or select" if {"L2", "B"} <= keys or "select" in keys else None
+NO_JUMP = sealed(np.zeros(12))
 
 
-def _damaged(view: View, limits: TripSettings) -> str | None:
-    count = view.inbox.bad_packets
-    return f"{count} damaged packets one after the other" if count >= limits.bad_packets else None
-
-
-def _powerful(view: View, limits: TripSettings) -> str | None:
-    return f"power of {power(view.state):.0f} W" if view.over_power >= limits.power_ticks else None
-
-
-def _flat(view: View, limits: TripSettings) -> str | None:
-    charge = view.state.charge
-    return f"the battery is at {charge} %" if charge < limits.charge else None
-
-
-def _shared(view: View, limits: TripSettings) -> str | None:
-    share = view.inbox.share
-    if share >= limits.share:
-        return None
-    arrive = f"only {100 * share:.0f} % of the robot's states arrive"
-    return f"{arrive}: another program talks to it, or the network loses packets"
-
-
-def _not_a_number(view: View, limits: TripSettings) -> str | None:
-    state = view.state
-    total = state.joints.sum() + state.joint_rates.sum() + state.gyro.sum() + state.quaternion.sum()
-    if not np.isfinite(total):
-        return "the robot sends what is not a number"
-    return None if np.isfinite(view.jump.sum() + view.targets.sum()) else "the plan is not a number"
-
-
-def _tilted(view: View, limits: TripSettings) -> str | None:
-    angle = tilt(view.state.quaternion)
-    return f"the trunk leans {np.rad2deg(angle):.0f} degrees" if angle > limits.tilt else None
-
-
-def _fast(view: View, limits: TripSettings) -> str | None:
-    ratio = np.abs(view.state.joint_rates) / np.tile(limits.joint_speed, 4)
-    worst = int(ratio.argmax())
-    return f"{JOINTS[worst]} moves at {view.state.joint_rates[worst]:.1f} rad/s" if ratio[worst] > 1 else None
-
-
-def _hot(view: View, limits: TripSettings) -> str | None:
-    worst = int(view.state.temperatures.argmax())
-    hottest = view.state.temperatures[worst]
-    return f"{JOINTS[worst]} is {hottest:.0f} deg C hot" if hottest > limits.temperature else None
-
-
-def _off(view: View, limits: TripSettings) -> str | None:
-    wrong = np.flatnonzero(view.state.modes != SERVO)
-    if not wrong.size:
-        return None
-    mode = int(view.state.modes[wrong[0]])
-    why = ", too hot" if mode == OVERHEATED else ""
-    return f"{JOINTS[wrong[0]]} is in mode {mode}{why}, not in {SERVO}"
-
-
-def _out_of_range(view: View, limits: TripSettings) -> str | None:
-    # a robot that lies with folded calves is beyond the limits of commands: this counts only once it stands
-    if view.phase not in (Phase.READY, Phase.RUN):
-        return None
-    return "a joint is beyond its limits" if beyond(view.state.joints, limits.position_margin) else None
-
-
-def _jumping(view: View, limits: TripSettings) -> str | None:
-    worst = int(np.abs(view.jump).argmax())
-    far = abs(view.jump[worst]) > limits.target_jump
-    return f"the target of {JOINTS[worst]} jumps by {view.jump[worst]:+.2f} rad" if far else None
-
-
-def _late(what: str, age: float, longest: float) -> str | None:
-    return f"{what} for {1e3 * age:.0f} ms" if age > longest else None
-
-
-def _runs(view: View, reason: str | None) -> str | None:
-    """A reason that counts only while the robot follows plans."""
-    return reason if view.phase == Phase.RUN else None
-
-
-#: Trip -> the phase that follows, most urgent first.
-TRIPS: dict[str, tuple[Trip, Phase]] = {
-    "order": (lambda v, _: v.inbox.stop, Phase.DAMP),
-    "remote": (_stopped_by_remote, Phase.DAMP),
-    "stalled": (lambda v, s: _late("the sender stalled: no packet", v.gap, s.packet_gap), Phase.DAMP),
-    "state_lost": (lambda v, s: _late("no state of the robot", v.state_age, s.state_age), Phase.DAMP),
-    "damaged": (_damaged, Phase.DAMP),
-    "share": (_shared, Phase.DAMP),
-    "not_a_number": (_not_a_number, Phase.DAMP),
-    "tilt": (_tilted, Phase.DAMP),
-    "speed": (_fast, Phase.DAMP),
-    "power": (_powerful, Phase.DAMP),
-    "temperature": (_hot, Phase.DAMP),
-    "motor_mode": (_off, Phase.DAMP),
-    "battery": (_flat, Phase.DAMP),
-    "range": (_out_of_range, Phase.DAMP),
-    "target_jump": (_jumping, Phase.DAMP),
-    "pose_false": (lambda v, _: _runs(v, v.inbox.contradiction), Phase.DAMP),
-    "plan_lost": (lambda v, s: _runs(v, _late("no plan", v.plan_age, s.plan_age)), Phase.PAUSE),
-    "pose_doubt": (lambda v, _: _runs(v, v.inbox.doubt), Phase.PAUSE),
-    "pose_lost": (
-        lambda v, s: _runs(v, _late("no pose of trunk or box", v.pose_age, s.pose_age)), Phase.PAUSE,
+#: Trip -> the phase that follows.
+TRIPS = {
+    **dict.fromkeys(
+        ("order", "remote", "stalled", "state_lost", "damaged", "share", "not_a_number", "tilt", "speed",
+         "power", "temperature", "motor_mode", "battery", "range", "target_jump", "pose_false"), Phase.DAMP,
     ),
+    **dict.fromkeys(("plan_lost", "pose_doubt", "pose_lost"), Phase.PAUSE),
 }  # fmt: skip
 
-NO_JUMP = sealed(np.zeros(12))
+
+def _reasons(view: View, limits: TripSettings) -> Iterator[tuple[str, str]]:
+    """Name and reason of each trip, most urgent first."""
+    state, inbox, keys = view.state, view.inbox, pressed(view.state.remote)
+    if inbox.stop:
+        yield "order", inbox.stop
+    if {"L2", "B"} <= keys or "select" in keys:
+        yield "remote", "remote control: L2+B or select"
+    if view.gap > limits.packet_gap:
+        yield "stalled", f"the sender stalled: no packet for {1e3 * view.gap:.0f} ms"
+    if view.state_age > limits.state_age:
+        yield "state_lost", f"no state of the robot for {1e3 * view.state_age:.0f} ms"
+    if inbox.bad_packets >= limits.bad_packets:
+        yield "damaged", f"{inbox.bad_packets} damaged packets one after the other"
+    if inbox.share < limits.share:
+        arrive = f"only {100 * inbox.share:.0f} % of the robot's states arrive"
+        yield "share", f"{arrive}: another program talks to it, or the network loses packets"
+    if not np.isfinite(
+        state.joints.sum() + state.joint_rates.sum() + state.gyro.sum() + state.quaternion.sum()
+    ):
+        yield "not_a_number", "the robot sends what is not a number"
+    if not np.isfinite(view.jump.sum() + view.targets.sum()):
+        yield "not_a_number", "the plan is not a number"
+    if (angle := tilt(state.quaternion)) > limits.tilt:
+        yield "tilt", f"the trunk leans {np.rad2deg(angle):.0f} degrees"
+    ratio = np.abs(state.joint_rates) / np.tile(limits.joint_speed, 4)
+    if ratio[worst := int(ratio.argmax())] > 1:
+        yield "speed", f"{JOINTS[worst]} moves at {state.joint_rates[worst]:.1f} rad/s"
+    if view.over_power >= limits.power_ticks:
+        yield "power", f"power of {power(state):.0f} W"
+    if state.temperatures[worst := int(state.temperatures.argmax())] > limits.temperature:
+        yield "temperature", f"{JOINTS[worst]} is {state.temperatures[worst]:.0f} deg C hot"
+    if (wrong := np.flatnonzero(state.modes != SERVO)).size:
+        mode = int(state.modes[wrong[0]])
+        why = ", too hot" if mode == OVERHEATED else ""
+        yield "motor_mode", f"{JOINTS[wrong[0]]} is in mode {mode}{why}, not in {SERVO}"
+    if state.charge < limits.charge:
+        yield "battery", f"the battery is at {state.charge} %"
+    # a robot that lies with folded calves is beyond the limits of commands: this counts only once it stands
+    if view.phase in (Phase.READY, Phase.RUN) and beyond(state.joints, limits.position_margin):
+        yield "range", "a joint is beyond its limits"
+    if abs(view.jump[worst := int(np.abs(view.jump).argmax())]) > limits.target_jump:
+        yield "target_jump", f"the target of {JOINTS[worst]} jumps by {view.jump[worst]:+.2f} rad"
+    if view.phase != Phase.RUN:
+        return
+    if inbox.contradiction:
+        yield "pose_false", inbox.contradiction
+    if view.plan_age > limits.plan_age:
+        yield "plan_lost", f"no plan for {1e3 * view.plan_age:.0f} ms"
+    if inbox.doubt:
+        yield "pose_doubt", inbox.doubt
+    if view.pose_age > limits.pose_age:
+        yield "pose_lost", f"no pose of trunk or box for {1e3 * view.pose_age:.0f} ms"
 
 
 def tripped(view: View, limits: TripSettings) -> tuple[str, str, Phase] | None:
     """The most urgent trip: its name, its reason, and the phase that follows; None: all is well."""
-    for name, (trip, then) in TRIPS.items():
-        reason = trip(view, limits)
-        if reason:
-            return name, reason, then
-    return None
+    return next(((name, reason, TRIPS[name]) for name, reason in _reasons(view, limits)), None)
 
 
 #: Legs folded under the trunk [rad]: within the limits of commands, unlike those of a robot let down.
