@@ -18,6 +18,7 @@ from amhe_cli.estimation.core.result import Missing
 from amhe_cli.estimation.explain.candidate import CauseMaker
 from amhe_cli.estimation.explain.drives import drive_causes
 from amhe_cli.estimation.explain.explain import explain, forced
+from amhe_cli.estimation.explain.inputs import mended
 from amhe_cli.estimation.explain.joints import joint_causes
 from amhe_cli.estimation.explain.regression import CauseColumns, Regression, blocks_of, memory_of
 from amhe_cli.estimation.explain.unexplained import unexplained
@@ -228,6 +229,7 @@ XML = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="hinge" 
   <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.6"/><body name="load" pos="0 0 -0.3">
   <geom size="0.04" mass="0.3"/></body></body></worldbody>
   <actuator><position name="servo" joint="hinge" kp="6" kv="0.3"/></actuator></mujoco>"""
+MOTOR = XML.replace('position name="servo"', 'motor name="motor"').replace(' kp="6" kv="0.3"', "")
 
 
 def swung(stiffness: float) -> np.ndarray:
@@ -271,6 +273,34 @@ def test_a_spring_is_named_with_its_stiffness_and_rest(sprung: tuple[amhe.System
     assert stiffness["nominal"] == pytest.approx(0.8, abs=0.05)
     assert rest["nominal"] == pytest.approx(0.1, abs=0.03)
     assert found.tested > 50
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize(("stiffness", "factor", "kinds"), [(4.0, 1.0, set()), (0.0, 1e3, {"unit"})])
+def test_a_command_that_acts_little_beside_a_spring_is_in_no_other_unit(
+    stiffness: float, factor: float, kinds: set[str]
+) -> None:
+    """Divided by 57 or 1000 it would say as little as no command at all."""
+    model = mujoco.MjModel.from_xml_string(MOTOR)
+    data, rows = mujoco.MjData(model), []
+    for k in range(6000):
+        command = 0.3 * np.sin(np.array([1.3, 4.1, 9.7]) * (k // 5 * 0.01)).sum()
+        if k % 5 == 0:
+            rows.append((k * 0.002, data.qpos[0], command))
+        data.ctrl[0], data.qfrc_applied[0] = command, -stiffness * data.qpos[0]
+        mujoco.mj_step(model, data)
+    time, position, command = np.array(rows).T
+    signals = {"joints": {"joints": ["hinge"], "noise": {"position": 5e-4}},
+               "command": {"actuators": ["motor"], "quantity": "value"}}  # fmt: skip
+    mass = {"mass": {"nominal": 0.3, "targets": [{"body": "load", "set": "mass"}]}}
+    spec = mujoco.MjSpec.from_string(MOTOR)
+    system = amhe.System.from_model(spec, parameters=mass, signals=signals, warn=False)
+    position = position + np.random.default_rng(0).normal(0.0, 5e-4, position.size)
+    arrays = {"joints": {"time": time, "position": position}, "command": {"time": time, "value": command}}
+    log = amhe.Log.from_arrays(arrays, system)
+
+    found = mended(system, [whole(_times(log, command_value=factor))], np.random.default_rng(0))
+    assert {one.kind for one in found} == kinds
 
 
 @pytest.mark.medium

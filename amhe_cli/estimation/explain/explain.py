@@ -13,7 +13,7 @@ from amhe_cli.estimation.core.result import Missing, MissingRow
 from amhe_cli.estimation.explain.candidate import CauseMaker
 from amhe_cli.estimation.explain.drives import drive_causes, prior_causes
 from amhe_cli.estimation.explain.efforts import unexplained_efforts
-from amhe_cli.estimation.explain.inputs import mended
+from amhe_cli.estimation.explain.inputs import LIKE, mended
 from amhe_cli.estimation.explain.joints import joint_causes
 from amhe_cli.estimation.explain.regression import DOUBT, CauseColumns, Regression, blocks_of, memory_of
 from amhe_cli.estimation.explain.twin import twins
@@ -27,8 +27,6 @@ SEARCHED = {"stribeck", "force limit", "speed limit", "contact", "cogging", "per
             "servo limit", "slew limit", "delay"}  # fmt: skip
 #: Share that makes another look at the log as it is needless.
 CLEAR = 0.95
-#: What is left of two logs put right that are alike, at most a factor.
-LIKE = 1.1
 
 
 def explain(system: System, parts: Sequence[Window], z: FloatArray, rng: np.random.Generator) -> Missing:

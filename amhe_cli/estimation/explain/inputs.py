@@ -29,6 +29,8 @@ from amhe_cli.system.system import System
 _MOST = 400
 #: Instants that decide, and the price of a share of all force that a joint's drive or friction is off.
 _INSTANTS, _PRICE = 600, 0.1
+#: What is left of two logs put right that are alike, at most a factor.
+LIKE = 1.1
 #: Factors from numbers to SI units that are tried.
 _UNITS = {"degrees": np.pi / 180.0, "thousandths": 1e-3, "radians, and are read as degrees": 180.0 / np.pi}
 #: Keys of a signal that say so.
@@ -43,6 +45,7 @@ class Mended:
         kind, place, text: What would be put right, and where, in words.
         mend: A log -> the log with it put right.
         remedy: Key of the signal that would.
+        instead: The log with other factors, which must leave more: any would do where little is explained.
         share, left: Share of the unexplained acceleration that goes with it, and what is left.
     """
 
@@ -51,6 +54,7 @@ class Mended:
     text: str
     mend: Callable[[Log], Log]
     remedy: str = ""
+    instead: tuple[Callable[[Log], Log], ...] = ()
     share: float = 0.0
     left: float = 0.0
 
@@ -75,24 +79,34 @@ def mended(system: System, parts: Sequence[Window], rng: np.random.Generator) ->
         return []
     blocks = blocks_of([slice(0, len(start))], memory_of(start[:, None], [slice(0, len(start))]))
     edges = [block.start for block in blocks]  # they follow each other without a gap
+
+    def left_by(mend: Callable[[Log], Log]) -> FloatArray | None:
+        """What is left of each block; None where that is no better than that nothing accelerates."""
+        left = _left(system, replace(part, log=mend(part.log)))
+        if left is None or len(left) != blocks[-1].stop or left.mean() > 1.0:
+            return None
+        return np.add.reduceat(left, edges)
+
     start = np.add.reduceat(start, edges)
     signs = rng.choice([-1.0, 1.0], (SIGNS, len(start)))
     found, gains = [], []
     for one in candidates:
-        left = _left(system, replace(part, log=one.mend(part.log)))
-        if left is None or len(left) != blocks[-1].stop:
+        if (left := left_by(one.mend)) is None:
             continue
-        if left.mean() > 1.0:  # no better than a prediction that nothing accelerates
-            continue
-        left = np.add.reduceat(left, edges)
         gain = start - left
         gains.append(gain / max(np.sqrt((gain**2).sum()), 1e-300))  # Student's t, but for a factor
         found.append(replace(one, share=1.0 - float(left.sum() / start.sum()), left=float(left.sum())))
     if not gains:
         return []
     chance = np.quantile(np.max(signs @ np.array(gains).T, axis=1), 1.0 - LEVEL)
+
+    def alone(one: Mended) -> bool:
+        """Whether other factors, and the log as it is, leave more: any would do where little is explained."""
+        others = [start, *map(left_by, one.instead)] if one.instead else []
+        return all(other.sum() > LIKE * one.left for other in others if other is not None)
+
     good = [one for one, gain in zip(found, gains, strict=True) if gain.sum() > chance and one.share > 0.0]
-    return sorted(good, key=lambda one: -one.share)
+    return sorted(filter(alone, good), key=lambda one: -one.share)
 
 
 def _candidates(system: System) -> Iterator[Mended]:
@@ -119,9 +133,9 @@ def _candidates(system: System) -> Iterator[Mended]:
         for unit, factor in _UNITS.items() if turns else ():
             if factor > 1.0 and key not in converted:
                 continue
-            yield Mended(
-                "unit", name, f"the log's {name} is in {unit}", _scaled(key, {i: factor}), _KEYS[unit]
-            )
+            mend, *others = (_scaled(key, {i: each}) for each in (factor, factor**0.5, factor**2))
+            text = f"the log's {name} is in {unit}"
+            yield Mended("unit", name, text, mend, _KEYS[unit], tuple(others))
     angles = [(key, i) for key, i, *_, turns in columns if turns and key not in converted]
     for unit, factor in _UNITS.items() if len(angles) > 1 else ():
         if factor < 1.0:  # a motion made larger leaves less to explain
@@ -136,16 +150,16 @@ def _candidates(system: System) -> Iterator[Mended]:
 def _all_in(unit: str, factor: float, columns: Sequence[tuple[str, int]]) -> Iterator[Mended]:
     """All columns of a signal, or of all of them, in another unit."""
     keys = dict.fromkeys(key for key, _ in columns)
-    for some in dict.fromkeys([*((key,) for key in keys), tuple(keys)]):
+
+    def times(factor: float, some: Sequence[str]) -> Callable[[Log], Log]:
         mends = [_scaled(key, {i: factor for of, i in columns if of == key}) for key in some]
+        return lambda log: reduce(lambda log, mend: mend(log), mends, log)
+
+    for some in dict.fromkeys([*((key,) for key in keys), tuple(keys)]):
         places = ", ".join(key.rpartition(".")[0] for key in some)
-        text = f"every column of the log's {places} is in {unit}"
+        text, mend = f"every column of the log's {places} is in {unit}", times(factor, some)
         yield Mended(
-            "unit",
-            places,
-            text,
-            lambda log, m=mends: reduce(lambda log, mend: mend(log), m, log),
-            _KEYS[unit],
+            "unit", places, text, mend, _KEYS[unit], (times(factor**0.5, some), times(factor**2, some))
         )
 
 

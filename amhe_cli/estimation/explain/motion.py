@@ -138,7 +138,8 @@ def motion_in(
         return None
     arrays = [np.concatenate(each) for each in zip(*made, strict=True)]
     speed, acceleration = (arrays[i][:, list(dofs)].std(axis=0) for i in (1, 2))
-    usual = float(np.median(acceleration / np.maximum(speed, 1e-12)))
+    slowest = 1.0 / (len(arrays[0]) * sparse * step)  # of a motion that stands
+    usual = max(float(np.median(acceleration / np.maximum(speed, 1e-12))), slowest)
     qpos, qvel, qacc, inputs, act, time, log = arrays
     return DrivenMotion(
         qpos, qvel, qacc, inputs, act, time, log, tuple(stretches), dofs, sparse * step, band, usual
