@@ -3,7 +3,7 @@
 The robot shifts its trunk over the triangle of the other feet, then lifts the leg (in the other order it
 falls towards it), puts the foot to the middle of the box's face, and sweeps. A leg alone reaches 0.2 m: the
 trunk leans after it and turns, always over that triangle. When all is done the foot comes back, and down:
-four feet stand safer than three.
+four feet stand safer than three. Where the path goes on, the robot steps after the box and sweeps again.
 """
 
 from __future__ import annotations
@@ -16,14 +16,17 @@ from numpy.typing import ArrayLike
 
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
+from amhe_cli.core.rotations import yaw_of
 from amhe_cli.robots.go1.behaviours.gait import (
     Gait,
     LegTargets,
     box_friction,
+    contacts,
     ground_forces,
     leg_targets,
     neutral_feet,
     standing,
+    walk,
 )
 from amhe_cli.robots.go1.behaviours.objective import (
     Course,
@@ -137,6 +140,9 @@ def _smooth(share: FloatArray) -> FloatArray:
     return x * x * (3.0 - 2.0 * x)
 
 
+#: The robot has stepped to its place when it is this near [m]; it then takes some last steps [s]. How far a
+#: plan's own goal is ahead of the trunk [s].
+_NEAR, _SETTLING, _PLANNED = 0.03, 0.5, 0.16
 #: Noise of the channels: the foot's speed ahead and left [m/s], the trunk's place ahead and left [m] and
 #: turn [rad], push to the left [N].
 CHANNEL_SIGMA = sealed([0.03, 0.04, 0.004, 0.004, 0.03, 6.0])
@@ -165,13 +171,15 @@ class SweepShape:
         margin: Nearer to the edge of the three feet's triangle than this, the trunk first comes back [m].
         kick_time: The kick is given up after this time [s]: a stretched leg that stalls sinks to the floor,
             and the trunk falls after it.
-        longest: The sweep is given up after this time [s].
+        longest: The sweep, and the way to the next one, are given up after this time [s].
         return_speed: Speed with which the foot comes back when all is done [m/s].
         back: The foot is set down when it is this near to where it began [m].
         set_down: Speed with which the foot is set down [m/s].
         slip_time: Time constant with which the places of slipped feet are updated [s]: legs that pull feet
             back to where they stood make them slip on, and the trunk no longer follows its lean.
         touching: Distance from foot to box below which the box is to move [m].
+        sweeps: How often the leg sweeps at most: a box that is left beyond its reach is walked after.
+        aside: Speed of the steps to where the next sweep begins [m/s].
     """
 
     height: float = 0.14
@@ -197,6 +205,8 @@ class SweepShape:
     set_down: float = 0.1
     slip_time: float = 1.0
     touching: float = 0.015
+    sweeps: int = 2
+    aside: float = 0.12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -211,7 +221,8 @@ class SweepMove:
         planted: Where the feet stand [m], shape (4, 3).
         lean: Where the trunk should be: place in the world [m] and heading [rad], shape (3,).
         reference: What robot and box should do.
-        command: A command, in the order of `CHANNEL_SIGMA`, shape (6,).
+        command: A command, in the order of `CHANNEL_SIGMA`, shape (6,); ahead, left [m/s] and yaw rate
+            [rad/s] first while the robot steps aside.
     """
 
     owner: Sweeping
@@ -225,9 +236,13 @@ class SweepMove:
     def targets(self, times: FloatArray, commands: FloatArray) -> FloatArray:
         """See `Move`."""
         owner = self.owner
+        if owner.steps(self.reference.time):
+            still = np.zeros((len(commands), 1, 2))
+            return walk(owner.trot, times[None], commands[:, None, :3], still, np.zeros(4)).targets
+        times = times - owner.begun
         if self.trunk_now is None:
             commands = np.zeros_like(commands)
-        elapsed = times - self.reference.time + owner.shape.lead
+        elapsed = times + owner.begun - self.reference.time + owner.shape.lead
         foot = np.broadcast_to(self.foot, (len(commands), times.size, 3)).copy()
         foot[..., :2] += elapsed[:, None] * commands[:, None, :2]
         foot[..., 1] = np.maximum(foot[..., 1], -owner.shape.reach - owner.shape.kick_leash)
@@ -259,6 +274,7 @@ class Sweeping:
         gait, tripod: Shape of the stance, and how the leg becomes free.
         shape: How the leg sweeps.
         trunk_height: Desired height of the trunk [m].
+        begun: When the present sweep's shift of the trunk begins, or the next one's [s].
     """
 
     path: Course
@@ -269,6 +285,9 @@ class Sweeping:
     shape: SweepShape = field(default_factory=SweepShape)
     weights: SweepWeights = field(default_factory=SweepWeights)
     trunk_height: float = 0.27
+    begun: float = 0.0
+    _sweeps: int = 0
+    _latest: float = 0.0
     _stance: Plane | None = None
     _planted: FloatArray = field(init=False)
     _start_y: float = 0.0
@@ -277,6 +296,8 @@ class Sweeping:
     _target_y: float = 0.0
     _lowered: float = 0.0
     _last_time: float = 0.0
+    _beside: FloatArray = field(default_factory=lambda: np.zeros(2))
+    _goal: FloatArray = field(default_factory=lambda: np.zeros(2))
 
     def __post_init__(self) -> None:
         self._planted = neutral_feet(self.gait)
@@ -288,23 +309,39 @@ class Sweeping:
         """See `Behaviour`."""
         return self.weights.knots
 
+    @property
+    def trot(self) -> Gait:
+        """How the robot steps aside."""
+        return replace(self.gait, duty=Gait().duty)
+
+    def steps(self, time: float) -> bool:
+        """Whether the robot steps aside at a time [s], before its next sweep."""
+        return time < self.begun
+
     def switches(self, start: float, end: float) -> bool:
-        """See `Behaviour`. Nobody steps: the trot's rhythm is kept for the refinement."""
+        """See `Behaviour`. The trot's rhythm is kept for the refinement while nobody steps."""
         half = 0.5 * self.gait.period
         return int(end / half) > int(start / half)
 
     def standing(self, times: FloatArray) -> BoolArray:
         """Which feet should stand at times [s] (...), shape (..., 4)."""
         stands = np.ones((*np.shape(times), 4), dtype=np.bool_)
-        stands[..., FREE] = times < self.tripod.shift_time
-        return stands
+        stands[..., FREE] = times < self.begun + self.tripod.shift_time
+        return np.where((times < self.begun)[..., None], contacts(self.trot, times), stands)
 
     def move(self, state: State, belief: Mapping[str, float]) -> SweepMove:
         """See `Behaviour`."""
+        at = self._reference(state)
+        if self._lowered >= self.shape.height and self._sweeps + 1 < self.shape.sweeps and at.speed > 0.0:
+            self._begin_again(state)
+        if self.steps(state.time):
+            return self._step_aside(state, at)
         if self._stance is None:
             self._stance = Plane.under(state.trunk)
+            if not self._sweeps:
+                self._beside = (state.box.position - state.trunk.position)[:2]
         line, face = self._contact(self._stance, state.box)
-        at = self._reference(state)
+        face -= belief.get("face_overlap", 0.0)
         begun = state.time - self._begin
         if begun < 0.0:
             return self._prepare(self._stance, state, line, face, at)
@@ -327,7 +364,26 @@ class Sweeping:
     @property
     def _begin(self) -> float:
         """Time at which the sweep begins [s]."""
-        return self.tripod.shift_time + self.tripod.lift_time
+        return self.begun + self.tripod.shift_time + self.tripod.lift_time
+
+    def _begin_again(self, state: State) -> None:
+        """Step after the box, until it stands beside the robot as it did at first; then sweep once more."""
+        self._goal = state.box.position[:2] - self._beside
+        self.begun, self._latest = state.time + _SETTLING, state.time + self.shape.longest
+        self._stance, self._planted, self._sweeps = None, neutral_feet(self.gait), self._sweeps + 1
+        self._over, self._kick_begin, self._lowered = False, np.inf, 0.0
+
+    def _step_aside(self, state: State, at: Reference) -> SweepMove:
+        """Trot to where the next sweep begins."""
+        limit, turn = self.shape.aside, float(yaw_of(state.trunk.orientation))
+        missing = self._goal - state.trunk.position[:2]
+        if np.abs(missing).max() > _NEAR:
+            self.begun = min(state.time + _SETTLING, self._latest)
+        speed = np.clip(2.0 * missing, -limit, limit)
+        in_trunk = Plane(np.zeros(2), turn).place(np.array([*speed, 0.0]))[:2]
+        command = np.array([*in_trunk, np.clip(-3.0 * turn, -0.4, 0.4), 0.0, 0.0, 0.0])
+        ahead = np.array([*(state.trunk.position[:2] + _PLANNED * speed), 0.0])
+        return SweepMove(self, np.zeros(3), None, self._planted, ahead, replace(at, speed=0.0), command)
 
     def _contact(self, stance: Plane, box: Body) -> tuple[float, float]:
         """Where to push: the push's line, and where the middle of a foot is that touches the face [m]."""
@@ -390,6 +446,7 @@ class Sweeping:
         return np.stack((s.lean[0] * back, s.lean[1] * rest, s.lean[2] * rest), axis=-1)
 
     def _lean_in_world(self, stance: Plane, time: float, y: float) -> FloatArray:
+        time -= self.begun
         lean = self.lean(np.array(time), np.array(y))
         lean[:2] += min(1.0, time / self.tripod.shift_time) * SHIFT
         return stance.in_world(lean)

@@ -213,7 +213,7 @@ def test_a_kick_that_stalls_is_given_up() -> None:
 
 def test_when_all_is_done_the_foot_is_set_down() -> None:
     """Given up at 12 s; back where it began, the foot goes down to the floor, and stays there."""
-    sweeping = Sweeping(Course((0.1, -0.34), -0.5 * np.pi, 0.5), 0.15, shape=SweepShape(reach=2.0))
+    sweeping = Sweeping(Course((0.1, -0.34), -0.5 * np.pi, 0.5), 0.15, shape=SweepShape(reach=2.0, sweeps=1))
     shape, heights = sweeping.shape, {}
     for time in (0.0, *np.arange(1.0, 20.0, 0.02)):
         heights[round(float(time), 2)] = sweeping.move(stalled(time), BELIEF).foot[2] + Gait().height
@@ -222,9 +222,34 @@ def test_when_all_is_done_the_foot_is_set_down() -> None:
     assert abs(heights[19.9]) < 1e-12
 
 
+def test_a_box_beyond_the_leg_s_reach_is_walked_after_and_swept_again() -> None:
+    """The box stands 0.1 m ahead and 0.4 m aside of the trunk at first, and 0.1 m farther after the sweep."""
+    sweeping = Sweeping(Course((0.1, -0.34), -0.5 * np.pi, 0.5), 0.15, shape=SweepShape(reach=REACH))
+
+    def left(time: float, there: bool = False) -> State:
+        state = stalled(time)
+        trunk = at_rest((0.0, -0.1, HEIGHT)) if there else state.trunk
+        return replace(state, box=at_rest((0.1, -0.505, 0.15)), trunk=trunk)
+
+    first = sweeping.move(stalled(0.0), BELIEF)
+    times = np.arange(0.02, 13.0, 0.02)
+    begun = next(time for time in times if sweeping.move(left(time), BELIEF) and sweeping.steps(time))
+    move = sweeping.move(left(begun + 0.02), BELIEF)
+    assert move.command[1] == pytest.approx(-sweeping.shape.aside)
+    standing_feet = sweeping.standing(np.linspace(begun, begun + 0.4, 5))
+    np.testing.assert_array_equal(standing_feet, contacts(GAIT, np.linspace(begun, begun + 0.4, 5)))
+    assert sweeping.steps(begun + 0.3), "it goes on until it is there"
+    ends = [begun + 0.04, begun + 0.8]
+    again = [sweeping.move(left(time, there=True), BELIEF) for time in ends][-1]
+    assert not sweeping.steps(ends[-1])
+    np.testing.assert_allclose(again.foot, first.foot, atol=1e-9)
+
+
 def test_a_foot_that_has_slipped_is_taken_for_where_it_is() -> None:
     """In a second or so; the others stay, and so does the free one's place under its hip."""
-    sweeping = Sweeping(Course((0.1, -0.34), -0.5 * np.pi, 0.5), 0.15, shape=SweepShape(reach=REACH))
+    sweeping = Sweeping(
+        Course((0.1, -0.34), -0.5 * np.pi, 0.5), 0.15, shape=SweepShape(reach=REACH, sweeps=1)
+    )
     begin, planted = 1.6, {}
     for time in np.arange(0.0, 8.0, 0.02):
         planted[round(float(time), 2)] = sweeping.move(stalled(time, slipped=0.05), BELIEF).planted
