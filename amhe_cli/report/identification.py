@@ -56,7 +56,7 @@ STYLES = {
 }
 
 #: What a table says of conditional values, and the columns that it leaves out, from wide to narrow terminals.
-_NARROWER = ((True, ()), (False, ()), (False, ("shrinkage",)))
+_NARROWER = ((True, ()), (False, ()), (False, ("shrinkage",)), (False, ("shrinkage", "prior")))
 
 #: Fields of a parameter in result.json, in its order.
 _PARAMETER_FIELDS = (

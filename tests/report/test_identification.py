@@ -442,8 +442,8 @@ def test_plain_values() -> None:
     }
 
 
-@pytest.mark.parametrize("width", [80, 100])
-def test_the_table_fits_a_terminal(tmp_path, width) -> None:
+@pytest.mark.parametrize(("width", "left_out"), [(75, "shrinkage and prior"), (80, "shrinkage"), (100, "")])
+def test_the_table_fits_a_terminal(tmp_path, width, left_out) -> None:
     console = Console(width=width, record=True, highlight=False, file=(tmp_path / "out").open("w"))
     print_identification(identification(), tmp_path / "out", console, TRUTH)
     text = console.export_text()
@@ -452,6 +452,7 @@ def test_the_table_fits_a_terminal(tmp_path, width) -> None:
     assert "cost 14.2 -> 1.08" in text
     assert "load_mass 0.74, damping 0.06; outside the 90 % interval: damping" in " ".join(text.split())
     assert "report.html" in text
+    assert (f"left out here, as the terminal is narrow: {left_out}" in text) == bool(left_out)
     assert all(
         len(line) <= width
         for line in text.splitlines()
