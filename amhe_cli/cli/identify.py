@@ -96,7 +96,6 @@ def identify(session: Session, given: Given) -> int | None:
     if given.model and given.inputs.system:
         raise click.UsageError("give --system or --model: a model's system is made anew")
     folder = given.reserve()
-    _check_apart(logs, given.held_out)
     with _described(given, folder / "system") as inputs:
         system = inputs.open(logs)
         known: Any = given.pick("fix", "only", "belief_anyway")
@@ -176,13 +175,3 @@ def _print_help(session: Session, parameters: Sequence[ParameterResult], missed:
         print(f"explained: amhe help {', '.join(words)}")
     for text in missed:
         session.console().print(f"not reached: {text}", style="yellow")
-
-
-def _check_apart(logs: Sequence[Path], held_out: Sequence[Path]) -> None:
-    """Refuse a log that is both fitted and held out, before any is read."""
-    from amhe_cli.core.errors import ConfigError
-
-    fitted = {path.resolve() for path in logs}
-    for path in held_out:
-        if path.resolve() in fitted:
-            raise ConfigError(f"{path}: is both fitted and held out; validation needs a log of its own")

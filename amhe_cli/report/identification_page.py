@@ -122,6 +122,8 @@ def identification_page(
 
 def headline(result: Identification) -> str:
     """The result in one line, with the misfit over the noise."""
+    if result.unexplained:  # what to do is the first sentence below it
+        return f"No parameter is identified: {result.unexplained[0].partition(': ')[0]}."
     told = _verdict_text(result)
     return f"{told}; {misfit_text(result)}." if misfit_text(result) else f"{told}."
 
@@ -134,8 +136,6 @@ def misfit_text(result: Identification) -> str:
 
 def _verdict_text(result: Identification) -> str:
     total = len(result.lines)
-    if result.unexplained:
-        return f"No parameter is identified: {result.unexplained[0]}"
     identified, conditional = (
         sum(p.verdict == verdict for p in result.parameters) for verdict in ("identified", "conditional")
     )
@@ -190,7 +190,7 @@ def _verdicts(parameters: Sequence[ParameterResult]) -> Iterator[Statement]:
 
 def _residuals(result: Identification) -> Iterator[Statement]:
     large = {channel: scale for channel, scale in result.noise_scale.items() if scale > LARGE_RESIDUAL}
-    if large:
+    if large and not result.unexplained:
         told = numbers.joined([f"{channel} {scale:.2g}" for channel, scale in large.items()])
         why = "The model misses something there, or the noise is larger than declared."
         yield Statement("mixed", f"Residuals over noise: {told}. {why}")

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from amhe_cli.audit.audit import Line
@@ -28,7 +27,7 @@ from amhe_cli.logs.messages.writer import ERROR, OK, WARN
 from amhe_cli.report.audit import STYLES, audit_record, audit_table, count_text
 from amhe_cli.report.numbers import interval, with_sd
 from amhe_cli.report.replay_files import csv_header, csv_row
-from amhe_cli.report.tables import rich_table
+from amhe_cli.report.tables import NUMBER, Table, rich_table
 from amhe_cli.system.provenance import attachments
 from amhe_cli.system.system import System
 
@@ -202,10 +201,10 @@ class WatchReport:
         shown = f"{self._now:.1f} s" if np.isfinite(self._now) else "waiting"
         title = f"  {self._system.name} on {self._source.about}, {shown}"
         head = Text.assemble((f" {word} ", f"reverse {colour}"), title, f"\n{text}\n")
-        parts: list[RenderableType] = [head, self._parameters(), Text()]
+        parts: list[RenderableType] = [head, rich_table(self._parameters()), Text()]
         if self._lines:
             parts += [rich_table(audit_table(self._lines), STYLES), Text(count_text(self._lines)), Text()]
-        parts += [self._topics(), Text()]
+        parts += [rich_table(self._topics(), {"stopped": "red", "waiting": "red"}), Text()]
         parts += [
             Text(f"{last.mark}; misfit {last.misfit:.2f}, excitation {last.excitation:.2f} (noise sd), "
                  f"update {last.update_ms:.0f} ms, lag {1e3 * self._lag:.0f} ms")
@@ -243,23 +242,25 @@ class WatchReport:
             replace(last.belief, provenance=dict(self._provenance)).save(self._folder / "belief.yaml")
 
     def _parameters(self) -> Table:
-        estimate, ends = ("estimate ± sd", "right"), ("90 % interval", "right")
-        table = _table("parameter", estimate, "unit", ends, "last estimates")
-        for i, row in enumerate(self.record()["parameters"]):
-            line = Text(blocks([float(one.theta[i]) for one in self._history]), "blue")
-            shown, span = with_sd(row["estimate"], row["sd"]), interval(row["lower"], row["upper"])
-            table.add_row(row["name"], shown, row["unit"], span, line)
-        return table
+        rows = [
+            (
+                row["name"], with_sd(row["estimate"], row["sd"]), row["unit"],
+                interval(row["lower"], row["upper"]), blocks([float(one.theta[i]) for one in self._history]),
+            )
+            for i, row in enumerate(self.record()["parameters"])
+        ]  # fmt: skip
+        head = ("parameter", "estimate ± sd", "unit", "90 % interval", "last estimates")
+        return Table(head, ("", NUMBER, "", NUMBER, ""), rows)
 
     def _topics(self) -> Table:
-        table = _table("topic", ("rate", "right"), ("lag", "right"), ("dropped", "right"))
-        for one in self._source.topics.values():
-            rate = "stopped" if one.silent else f"{one.rate:.0f} Hz" if one.count else "waiting"
-            colour = "red" if one.silent or not one.count else ""
-            table.add_row(
-                one.name, Text(rate, colour), f"{1e3 * (one.lag or 0.0):.0f} ms", str(one.dropped or "-")
+        rows = [
+            (
+                one.name, "stopped" if one.silent else f"{one.rate:.0f} Hz" if one.count else "waiting",
+                f"{1e3 * (one.lag or 0.0):.0f} ms", str(one.dropped or "-"),
             )
-        return table
+            for one in self._source.topics.values()
+        ]  # fmt: skip
+        return Table(("topic", "rate", "lag", "dropped"), ("", *[NUMBER] * 3), rows)
 
 
 def blocks(values: Sequence[float]) -> str:
@@ -272,14 +273,6 @@ def blocks(values: Sequence[float]) -> str:
 def _values(estimate: Estimate) -> str:
     rows = zip(estimate.belief.names, estimate.theta, estimate.sd, strict=True)
     return ", ".join(f"{name} {with_sd(float(value), float(sd))}" for name, value, sd in rows)
-
-
-def _table(*columns: Any) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for column in columns:
-        name, justify = (column, "left") if isinstance(column, str) else column
-        table.add_column(name, justify=justify, no_wrap=True)
-    return table
 
 
 def _label(**labels: str) -> str:

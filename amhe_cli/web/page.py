@@ -6,7 +6,6 @@ import json
 from base64 import b64encode
 from functools import cache
 from hashlib import sha256
-from importlib.resources import files
 from typing import Any
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
@@ -45,11 +44,6 @@ def script_digest(script: str) -> str:
 def _shown(value: object) -> object:
     """What stands in the page for a value: a text without control characters; what is HTML stays as it is."""
     return printable(value, keep="\n") if type(value) is str else value
-
-
-def asset(path: str) -> Markup:
-    """A file of the package's pages, such as 'view/web/stage.js', to stand in a page as it is."""
-    return Markup(files("amhe_cli").joinpath(*path.split("/")).read_text(encoding="utf-8"))
 
 
 def data(values: Any) -> Markup:

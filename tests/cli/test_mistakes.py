@@ -42,7 +42,7 @@ IDENTIFY = [
     ("--threads 0", "threads"),
     ("--max-time 0", "max-time"),
     ("--checkpoint nowhere/search.npz", "no folder 'nowhere'"),
-    ("--held-out {log}", "both fitted and held out"),
+    ("--held-out {log}", "is fitted too; validation needs a log of its own"),
     ("--fix damping=1 --fix damping=2", "'--fix': damping is given twice"),
     ("--fix damp=1", "--fix: no parameter 'damp' (did you mean 'damping'?)"),
 ]
