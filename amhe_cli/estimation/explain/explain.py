@@ -86,7 +86,8 @@ def _forced(
     """Regress what a system with some values does not explain on all causes; and the values' step."""
     found = looked_at(system, parts, z)
     if found is None or not found.stretches:
-        return Missing(untested="no motion was measured where nothing touches"), 0.0 * z
+        off = "no motion was measured where nothing touches; record some with wheels or feet off the ground"
+        return Missing(untested=off), 0.0 * z
     dofs, maker = list(found.motion.dofs), CauseMaker(system, found)
     tried = (*joint_causes(maker), *drive_causes(maker), *prior_causes(maker))
     candidates = [cause for cause in tried if cause.dofs]
