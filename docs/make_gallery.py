@@ -1,4 +1,4 @@
-"""Make docs/gallery/ and the pictures of the tutorial: `python docs/make_gallery.py FOLDER`, with Chromium.
+"""Make docs/gallery/ and pictures of tutorial and audit: `python docs/make_gallery.py FOLDER`, with Chromium.
 
 docs/gallery/ has pages of results to look at without an install. FOLDER keeps the results between runs; those
 that are missing are made, in some minutes.
@@ -23,6 +23,7 @@ RESULTS = {
         ("init", "example:arm", "example:arm", "--actuators", "-o", "arm-system", "--force"),
         ("identify", "example:arm", "--system", "arm-system", "-o", "arm"),
     ],
+    "audit": [("audit", "example:arm_torque", "example:arm_torque", "-o", "audit")],
     "go1": [
         ("identify", "example:t1", "-o", "go1"),
         # without a link to a report, which is not kept, and of a part: a page stays below 1 MiB
@@ -33,12 +34,13 @@ RESULTS = {
 KEPT = {"pendulum": ("report", "view"), "arm": ("report", "view"), "go1": ("view",)}
 #: Picture -> page, the part of it that is shown, height.
 PICTURES = {
-    "arm-found": ("arm/report.html", "parameters", 820),
-    "arm-overlay": ("arm/report.html", "measured-against-predicted", 760),
-    "arm-budget": ("arm/report.html", "where-each-interval-comes-from", 560),
-    "arm-view": ("arm/view.html", "top", 760),
-    "lie": ("lie/report.html", "top", 560),
-    "truth": ("pendulum/report.html", "top", 560),
+    "tutorial/arm-found.webp": ("arm/report.html", "parameters", 820),
+    "tutorial/arm-overlay.webp": ("arm/report.html", "measured-against-predicted", 760),
+    "tutorial/arm-budget.webp": ("arm/report.html", "where-each-interval-comes-from", 560),
+    "tutorial/arm-view.webp": ("arm/view.html", "top", 760),
+    "tutorial/lie.webp": ("lie/report.html", "top", 560),
+    "tutorial/truth.webp": ("pendulum/report.html", "top", 560),
+    "audit.webp": ("audit/report.html", "top", 900),
 }
 #: Shows a part of a page, unfolded.
 SHOW = "(() => {{ const it = document.getElementById('{0}'); it.open = true; it.scrollIntoView(); }})()"
@@ -49,7 +51,7 @@ def main() -> None:
     folder = Path(sys.argv[1])
     folder.mkdir(parents=True, exist_ok=True)
     for name, commands in RESULTS.items():
-        if not (folder / name / "view.html").exists():
+        if not (folder / name / "report.html").exists():
             for command in commands:
                 subprocess.run([sys.executable, "-m", "amhe_cli", *command], cwd=folder, check=True)
     (DOCS / "gallery").mkdir(exist_ok=True)
@@ -66,7 +68,7 @@ def main() -> None:
             if part != "top":
                 one.run(SHOW.format(part))
             one.run("new Promise((done) => setTimeout(done, 1500))")
-            one.picture(DOCS / "figures" / "tutorial" / f"{picture}.webp")
+            one.picture(DOCS / "figures" / picture)
 
 
 if __name__ == "__main__":
