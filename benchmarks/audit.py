@@ -9,6 +9,7 @@ Menagerie, which is downloaded: encoders and measured torques of all joints, who
 
 arm3      three position servos, encoders and commands; the motion is matched
 pendulum  two torque motors, encoders and commands; the motion is matched
+servo7    seven position servos, encoders and commands; the motion is matched
 torque7   seven joints, encoders and measured torques; the efforts are matched
 """
 
@@ -44,6 +45,8 @@ NOISE, LATE, HZ = 3e-4, 0.008, 100
 SHARE = 0.01
 #: A number can be told where the truth is so many sd away, of the log and the data sheet together.
 TOLD = 4.0
+#: Stiffness of the servos of seven joints [N m/rad].
+SERVOS = (400.0, 400.0, 300.0, 300.0, 100.0, 100.0, 50.0)
 FILES = {
     "arm3": PROJECT / "examples" / "logs" / "arm.xml",
     "pendulum": PROJECT / "examples" / "systems" / "double_pendulum" / "model.xml",
@@ -54,6 +57,13 @@ def spec_of(robot: str) -> mujoco.MjSpec:
     """The robot as its data sheets have it."""
     if robot == "torque7":
         return arm()
+    if robot == "servo7":
+        spec = arm()
+        spec.option.timestep = 0.002
+        for joint, kp in zip(spec.joints, SERVOS, strict=True):
+            servo = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            servo.set_to_position(kp=kp, kv=0.05 * kp)
+        return spec
     if robot in FILES:
         return mujoco.MjSpec.from_file(str(FILES[robot]))
     if robot.endswith(".xml"):
@@ -69,7 +79,7 @@ def recorded(
     """A table: names of the columns, and rows."""
     times = np.arange(0.0, seconds, 1.0 / HZ)
     joints = [truth.joint(j).name for j in range(truth.njnt)]
-    if robot not in FILES:
+    if robot not in (*FILES, "servo7"):
         position, speed, acceleration = motion(rng, times, truth.nv)
         needed = forces_along(truth, position, speed, acceleration).needed
         tau = needed + truth.dof_frictionloss * np.sign(speed)

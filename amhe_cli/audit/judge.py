@@ -37,7 +37,7 @@ contradicted at 5 %, and so the share of such verdicts that are wrong.
 from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Mapping, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import erfc, sqrt
 from typing import Generic, TypeVar
 
@@ -81,14 +81,13 @@ class Findings:
         """Covariance that noise and priors leave, shape (d, d)."""
         return sealed(np.linalg.inv(self.information + np.diag(self.prior[1] ** -2.0)))
 
-    def with_priors(self, sd: FloatArray) -> Findings:
-        """The same logs under priors of other sd (d,), as far as they are linear."""
-        matrix = self.information + np.diag(sd**-2.0)
-        mean = np.linalg.solve(matrix, self.score() + sd**-2.0 * self.prior[0])
-        more = self.covariance - self.known()
-        return replace(
-            self, mean=mean, prior=np.array([self.prior[0], sd]), covariance=np.linalg.inv(matrix) + more
-        )
+    def with_priors(self, sd: FloatArray, share: float = 1.0) -> Findings:
+        """The same logs, or a share of them, under priors of other sd (d,), as far as they are linear."""
+        prior, information = np.array([self.prior[0], sd]), share * self.information
+        known = np.linalg.inv(information + np.diag(sd**-2.0))
+        mean = known @ (share * self.score() + sd**-2.0 * self.prior[0])
+        covariance = known + self.covariance - self.known()
+        return Findings(mean, prior, information, covariance, self.at)
 
     def score(self) -> FloatArray:
         """Information times what the logs alone would say, shape (d,)."""
