@@ -99,6 +99,16 @@ class MatchingCost:
         self._alike = _alike([window.log for window in windows])
         self._wanted = [observed.wanted for observed in self.clips.observed]
 
+    def scaled(self, noise_scale: Mapping[str, float]) -> MatchingCost:
+        """The same clips, where the data showed another noise than the declared one."""
+        other, before = copy.copy(self), self.noise_scale
+        ratios = [
+            noise_scale.get(o.channel.key, 1.0) / before.get(o.channel.key, 1.0) for o in self.clips.observed
+        ]
+        observed = (replace(o, noise=r * o.noise) for o, r in zip(self.clips.observed, ratios, strict=True))
+        other.noise_scale, other.clips = noise_scale, replace(self.clips, observed=tuple(observed))
+        return other
+
     def upon(self, engine: Engine, system: System | None = None) -> MatchingCost:
         """The same clips rolled out by another engine.
 

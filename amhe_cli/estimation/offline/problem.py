@@ -89,8 +89,16 @@ class Problem:
         return self.system.settings
 
     def cost(self, windows: Sequence[Window], scale: Mapping[str, float] | None = None) -> MatchingCost:
-        """Matching cost on some clips, with the noise that the data have shown."""
-        return MatchingCost(self.system, windows, self.engine, self.settings.cost, scale)
+        """Matching cost on some clips, with the noise that the data have shown; the last clips are kept."""
+        key, kept = tuple(windows), self._laid_out
+        if key not in kept:
+            kept.clear()
+            kept[key] = MatchingCost(self.system, windows, self.engine, self.settings.cost)
+        return kept[key].scaled(scale) if scale else kept[key]
+
+    @cached_property
+    def _laid_out(self) -> dict[tuple[Window, ...], MatchingCost]:
+        return {}
 
     def rng(self, *place: int) -> np.random.Generator:
         """A generator of its own for each place of the search: nothing to store, the same on resuming."""

@@ -54,9 +54,7 @@ def body_numbers(
         return ()
     space, count = system.space, len(z)
     draws = rng.multivariate_normal(z, ledger.covariance, _DRAWS, method="cholesky")
-    theta = np.stack(
-        [_model_values(system, one) for one in (z, np.zeros(count), *z + _STEP * np.eye(count), *draws)]
-    )
+    theta = _model_values(system, np.stack((z, np.zeros(count), *z + _STEP * np.eye(count), *draws)))
     found = []
     for name, numbers in system.edits.inertias(theta):
         own = [one for one in space.names if one.rpartition(".")[0] == name]
@@ -95,10 +93,13 @@ def body_numbers(
 
 
 def _model_values(system: System, z: FloatArray) -> FloatArray:
-    """The model's free parameters at a point of the search; what is not searched is at its nominal value."""
+    """The model's free parameters at points (n, d) of the search; what is not searched is nominal."""
     model = system.edits.space
-    values = model.named(model.nominal) | system.space.named(system.space.theta_of(z))
-    return np.array([values[name] for name in model.names])
+    places = {name: place for place, name in enumerate(model.names)}
+    own = [i for i, name in enumerate(system.space.names) if name in places]
+    values = np.tile(model.nominal, (len(z), 1))
+    values[:, [places[system.space.names[i]] for i in own]] = system.space.theta_of(z)[:, own]
+    return values
 
 
 def combinations(
@@ -224,13 +225,11 @@ def _friction(
     system: System, z: FloatArray, covariance: FloatArray, rows: list[int], dof: int, speed: float
 ) -> float:
     """Sd of a joint's friction at its usual speed, as a share of it."""
-
-    def at(values: FloatArray) -> float:
-        theta = system.space.theta_of(values)
-        model = system.edits.apply(system.model, theta)
-        return float(model.dof_damping[dof] * speed + model.dof_frictionloss[dof])
-
-    size = at(z)
-    slopes = np.array([(at(z + _STEP * row) - size) / _STEP for row in np.eye(len(z))[rows]])
+    theta = system.space.theta_of(np.concatenate((z[None], z + _STEP * np.eye(len(z))[rows])))
+    fields: dict[str, FloatArray] = {field: getattr(system.model, field)[None] for field in _RUBS}
+    fields |= system.edits.written(theta)
+    viscous, dry = (np.broadcast_to(fields[field][:, dof], len(theta)) for field in _RUBS)
+    size, *near = viscous * speed + dry
+    slopes = (np.array(near) - size) / _STEP
     variance = slopes @ covariance[np.ix_(rows, rows)] @ slopes
     return float(np.sqrt(variance) / size) if size > 0.0 else np.inf
