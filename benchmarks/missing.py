@@ -504,7 +504,7 @@ def repaired(number: int) -> dict[str, Any]:
             found.append(mend(system, log, seed=seed, threads=1))
     mended = found[0]
     given = mended.found.repairs[0].horizons if mended.found.repairs else ()
-    parts = split_held_out(mended.logs, mended.system.settings.clips.held_out)[1]
+    parts = split_held_out(mended.logs, mended.system.settings.clips)[1]
     errors = scored([one.system for one in found], found, [one.logs for one in found], parts, seed, 1, "cpu")
     return {
         "robot": name, "faults": faults, "places": places, "cpu_seconds": time.process_time() - began,

@@ -127,6 +127,9 @@ def compare(
             raise ConfigError(f"`{argument}`: give the same logs for each of the {len(systems)} systems")
     names = _names(systems)
     clips = systems[0].settings.clips
+    parts = [whole(log) for log in unseen[0]] if held_out else split_held_out(logs[0], clips)[1]
+    if not parts:
+        raise LogError("the logs are too short to hold a part out: give logs to predict, `held_out`")
     alike = [replace(one, settings=one.settings.model_copy(update={"clips": clips})) for one in systems]
     share = None if max_time is None else 0.9 * max_time / len(systems)
     results, warnings = [], []
@@ -144,7 +147,6 @@ def compare(
             )  # fmt: skip
         warnings += texts
     say("held-out clips")
-    parts = [whole(log) for log in unseen[0]] if held_out else split_held_out(logs[0], clips.held_out)[1]
     found = scored(alike, results, unseen, parts, seed, threads, engine)
     best = simplest_of(found, [len(one.space) for one in alike]) if simplest else best_of(found)
     return Comparison(

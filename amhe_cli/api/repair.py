@@ -150,7 +150,7 @@ def _tried(
         if best.held_out:
             fitted, parts = best.held_out, [whole(log) for log in best.held_out]
         else:
-            parts = split_held_out(fitted, clips.held_out)[1]
+            parts = split_held_out(fitted, clips)[1]
         both = (best, found)
         errors = scored(
             [one.system for one in both], both, [fitted] * 2, parts, seed, threads, how.get("engine", "cpu")

@@ -57,6 +57,8 @@ class ClipSettings(SettingsGroup):
     """Share of the logs' time kept for validation when no held-out log is given."""
     held_out_length: Positive | None = None
     """Length [s] of a validation clip; the mean of `length` where not given."""
+    held_out_least: Annotated[int, Field(ge=0)] = 0
+    """Fewest validation clips: where the logs are too short for so many, all of them is fitted."""
     held_out_first_only: bool = False
     """Validate only on each held-out log's first clip instead of tiling it."""
     still: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 3.0

@@ -20,7 +20,7 @@ from amhe_cli.estimation.core.result import Identification
 from amhe_cli.estimation.explain.inputs import mended
 from amhe_cli.estimation.offline import cma, search
 from amhe_cli.estimation.offline.checkpoint import Checkpoint
-from amhe_cli.estimation.offline.clips import ClipPool, evenly, split_held_out, whole
+from amhe_cli.estimation.offline.clips import ClipPool, evenly, split_held_out, validation_length, whole
 from amhe_cli.estimation.offline.cma import CmaState
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
@@ -161,15 +161,14 @@ def _pose(
     if held_out:
         fit, held = [whole(log) for log in training], [whole(log) for log in in_order(held_out)]
     else:
-        fit, held = split_held_out(training, clips.held_out)
+        fit, held = split_held_out(training, clips)
     engine = open_engine(system, threads=options.threads, executor=options.executor, kind=options.engine)
     pool = ClipPool(system, fit, clips)
     problem = Problem(system, pool, engine, options.seed, threads=options.threads, share=options.share)
     if not problem.clips:
         raise EstimationError(_no_clips(problem.pool))
     validation = ClipPool(system, held, clips)
-    low, high = clips.length
-    windows = validation.cut(clips.held_out_length or 0.5 * (low + high), clips.held_out_first_only)
+    windows = validation.cut(validation_length(clips), clips.held_out_first_only)
     windows = evenly(windows, clips.most)
     if held and not windows:
         logger.warning("the held-out part of the logs has no usable clip: nothing validates the result")

@@ -16,11 +16,14 @@ GUESS = "GUESS"
 #: Comment above a signal that is to be completed by hand.
 _SKELETON = "this type is not built in: correct the paths of its numbers to use it"
 
-#: Comment above the joints that have a gear.
+#: Settings of joints that have a gear, before the names of these.
 _GEARED = (
     "",
     "# Servos have gears, whose friction grows with load: intervals allow for it. Name no direct drives;",
-    "# with known loads, `amhe compare --friction` says what it is.",
+    "# with known loads, `amhe compare --friction` says what it is. Lifting and lowering tell load from",
+    "# friction: a log too short for two clips to validate on is fitted to its end.",
+    "settings:",
+    "  clips: {held_out_least: 2}",
 )
 
 
@@ -70,8 +73,7 @@ def system_text(
         "signals:",
         *(line for guess in guesses for line in _signal(guess)),
         *(f"  # {printable(line)}" for skeleton in skeletons for line in (_SKELETON, *skeleton)),
-        *(_GEARED if geared else ()),
-        *(line for line in ("settings:", "  identify:", f"    geared: {flow(list(geared))}") if geared),
+        *([*_GEARED, "  identify:", f"    geared: {flow(list(geared))}"] if geared else ()),
     ]
     return "\n".join(lines) + "\n"
 

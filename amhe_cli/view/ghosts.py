@@ -20,7 +20,7 @@ from amhe_cli.core.log import Log, Window
 from amhe_cli.core.shown import TimeCurve
 from amhe_cli.engine.rollout import Engine, Starts
 from amhe_cli.engine.states import collides, home
-from amhe_cli.estimation.offline.clips import ClipPool
+from amhe_cli.estimation.offline.clips import ClipPool, validation_length
 from amhe_cli.matching.cost import MatchingCost, RolledOut
 from amhe_cli.matching.readings import reading_of, state_errors
 from amhe_cli.matching.starts import first_states
@@ -179,7 +179,7 @@ def viewing(
     """
     scene, logs = scene_of(system, more), list({id(part.log): part.log for part, _ in parts}.values())
     settings = system.settings.clips
-    length = settings.held_out_length or 0.5 * sum(settings.length)
+    length = validation_length(settings)
     cut = [(w, held) for part, held in parts for w in ClipPool(system, [part], settings).cut(length)]
     kept = cut[:: max(1, -(-sum(w.length for w, _ in cut) // most), -(-len(cut) // _TAKES))]
     columns = tuple(columns_of(system, logs[0]))

@@ -203,7 +203,7 @@ def _parts(
     if held_out:
         fit, held = [whole(log) for log in logs], [whole(log) for log in held_out]
     else:
-        fit, held = split_held_out(logs, system.settings.clips.held_out)
+        fit, held = split_held_out(logs, system.settings.clips)
     yield from ((window, False) for window in fit)
     yield from ((window, True) for window in held)
 

@@ -89,7 +89,7 @@ def test_every_mistake_is_reported_with_its_place(written: Write) -> None:
         "26:3: signals.none lacks the key 'topic'",
         "28:3: a signal is one thing; keep one of: body, site",
         "30:11: no key 'lenght' (did you mean 'length'?); there is: count, held_out, held_out_first_only, "
-        "held_out_length, length, still",
+        "held_out_least, held_out_length, length, still",
     ]
 
 

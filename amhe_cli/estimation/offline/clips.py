@@ -24,16 +24,20 @@ def whole(log: Log) -> Window:
     return Window(log, 0, log.steps - 1)
 
 
-def split_held_out(logs: Sequence[Log], share: float) -> tuple[list[Window], list[Window]]:
+def split_held_out(logs: Sequence[Log], clips: ClipSettings) -> tuple[list[Window], list[Window]]:
     """Divide logs into parts to fit and parts to validate on.
 
     With many logs every n-th is held out whole; with few, or fewer than n, and where logs have values of
-    their own, which no other log knows, the last part of each.
+    their own, which no other log knows, the last part of each. Of logs too short for `held_out_least`
+    clips to validate on, all is fitted: what is held out may be the only motion of its kind.
 
     Args:
         logs: The logs.
-        share: Share of their time that is held out.
+        clips: Share of their time that is held out, and the length of clips.
     """
+    share = clips.held_out
+    if share * sum(log.duration for log in logs) < clips.held_out_least * validation_length(clips):
+        share = 0.0
     if share <= 0.0:
         return [whole(log) for log in logs], []
     every = max(2, round(1.0 / share))
@@ -48,6 +52,11 @@ def split_held_out(logs: Sequence[Log], share: float) -> tuple[list[Window], lis
         [Window(log, 0, cut) for log, cut in zip(logs, cuts, strict=True)],
         [Window(log, cut, log.steps - 1 - cut) for log, cut in zip(logs, cuts, strict=True)],
     )
+
+
+def validation_length(clips: ClipSettings) -> float:
+    """Length of the clips to validate on [s]."""
+    return clips.held_out_length or 0.5 * sum(clips.length)
 
 
 def evenly(clips: Sequence[Window], most: int) -> list[Window]:

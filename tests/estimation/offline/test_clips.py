@@ -14,6 +14,7 @@ import pytest
 import amhe_cli as amhe
 from amhe_cli.core.each_log import searched
 from amhe_cli.core.log import Log
+from amhe_cli.core.settings import ClipSettings
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine, Predicted, Rollouts
 from amhe_cli.estimation.core import linearise
@@ -97,8 +98,18 @@ def test_a_noisy_log_does_not_make_another_one_motionless(model) -> None:
 def test_about_the_wanted_share_is_held_out(model, count: int, share: float) -> None:
     own = system(model, position=0.001)
     log = amhe.Log.from_arrays({"joints": {"time": TIMES, "position": np.sin(TIMES)}}, own)
-    fitted, held = (sum(part.length for part in parts) for parts in split_held_out([log] * count, share))
+    clips = ClipSettings(held_out=share, held_out_length=0.1)
+    fitted, held = (sum(part.length for part in parts) for parts in split_held_out([log] * count, clips))
     assert held / (fitted + held) == pytest.approx(share, abs=0.06)
+
+
+def test_of_a_log_too_short_to_validate_on_all_is_fitted(model) -> None:
+    own = system(model, position=0.001)
+    log = amhe.Log.from_arrays({"joints": {"time": TIMES, "position": np.sin(TIMES)}}, own)
+    for length, share in ((0.36, 0.25), (0.38, 0.0)):  # of 3 s
+        fitted, held = split_held_out([log], ClipSettings(held_out_length=length, held_out_least=2))
+        assert sum(part.length for part in held) == pytest.approx(share * (log.steps - 1), abs=1)
+        assert sum(part.length for part in fitted) == pytest.approx((1.0 - share) * (log.steps - 1), abs=1)
 
 
 def test_random_clips_are_not_counted_among_those_that_a_log_lacks(model) -> None:
