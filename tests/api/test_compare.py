@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import amhe_cli as amhe
+from amhe_cli.api.compare import _verdicts
 from amhe_cli.cli.compare import _parted
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.core.result import AtHorizon
@@ -65,14 +66,23 @@ def test_no_model_wins_while_a_search_has_not_ended(
     )
 
 
-def test_the_table_fits_a_terminal_of_80_columns_and_cuts_no_number() -> None:
-    def at(horizon: float, clips: int) -> AtHorizon:
-        ratios = np.array([[1.0, 1 / 7.94], [7.94, 1.0]])
-        return AtHorizon(
-            horizon, clips == 1, clips, {("elbow", "rad"): np.array([0.01, 0.0794])}, ratios, 0.66 * ratios,
-            1.6 * ratios,
-        )  # fmt: skip
+def at(horizon: float, clips: int) -> AtHorizon:
+    ratios = np.array([[1.0, 1 / 7.94], [7.94, 1.0]])
+    return AtHorizon(
+        horizon, clips == 1, clips, {("elbow", "rad"): np.array([0.01, 0.0794])}, ratios, 0.66 * ratios,
+        1.6 * ratios,
+    )  # fmt: skip
 
+
+def test_only_a_rival_whose_search_has_ended_is_called_worse() -> None:
+    judged = [
+        _verdicts([at(0.1, 20)], ("arm", "other"), 0, ended) for ended in ([False, True], [True, False])
+    ]
+    assert judged[0][0].startswith("arm predicts better than other")
+    assert judged[1][0].startswith("no model is called better than other, whose search did not end")
+
+
+def test_the_table_fits_a_terminal_of_80_columns_and_cuts_no_number() -> None:
     text = table_text(comparison_table(("arm", "another-arm"), [at(0.1, 20), at(2.0, 1)], 0))
     assert max(map(len, text.splitlines())) <= 80
     assert "7.94 (5.24 to 12.70)" in text and "too few clips" in text and "4.55°" in text
