@@ -190,6 +190,8 @@ def quick(patch: pytest.MonkeyPatch) -> None:
     """Few clips, and little time: what is tested is that each command works on what those before it made."""
     patch.setenv("AMHE_CLIPS__COUNT", "4")
     patch.setenv("AMHE_IDENTIFY__ITERATIONS", "2")
+    patch.setenv("AMHE_IDENTIFY__FIRST_STATE", "never")
+    patch.setenv("AMHE_IDENTIFY__PROFILE_POINTS", "0")
     patch.setenv("AMHE_PROBE__CANDIDATES", "4")
 
 

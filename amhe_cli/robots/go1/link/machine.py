@@ -15,36 +15,7 @@ from amhe_cli.core.arrays import FloatArray, sealed
 from amhe_cli.robots.go1.kinematics import HOME, JOINTS
 from amhe_cli.robots.go1.link.mail import Inbox, Phase, Targets, allowed, beyond, eased, travel_time
 from amhe_cli.robots.go1.link.packets import OVERHEATED, SERVO, MotorCommand, RobotState, pressed
-from amhe_cli.robots.go1.settings import Go1Settings, TripSettings
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class View:
-    """All that trips depend on.
-
-    Args:
-        inbox: All that is known at this tick.
-        state: Newest state of the robot.
-        gap: Time since the packet before [s].
-        state_age: Time since the newest state arrived [s].
-        plan_age: Time since the newest plan was sent [s].
-        pose_age: Time since the older one of the newest poses of trunk and box [s].
-        over_power: States with too much power, less those without, as `Machine` counts them.
-        jump: Step from the targets in force to a plan that is new in this tick, or between two of its rows,
-            the larger one for each joint [rad], shape (12,).
-        targets: Joint targets to send, before they are clipped [rad], shape (12,).
-    """
-
-    phase: Phase
-    inbox: Inbox
-    state: RobotState
-    gap: float
-    state_age: float
-    plan_age: float
-    pose_age: float
-    over_power: int
-    jump: FloatArray
-    targets: FloatArray
+from amhe_cli.robots.go1.settings import Go1Settings
 
 
 def power(state: RobotState) -> float:
@@ -70,65 +41,6 @@ TRIPS = {
     ),
     **dict.fromkeys(("plan_lost", "pose_doubt", "pose_lost"), Phase.PAUSE),
 }  # fmt: skip
-
-
-def _reasons(view: View, limits: TripSettings) -> Iterator[tuple[str, str]]:
-    """Name and reason of each trip, most urgent first."""
-    state, inbox, keys = view.state, view.inbox, pressed(view.state.remote)
-    if inbox.stop:
-        yield "order", inbox.stop
-    if {"L2", "B"} <= keys or "select" in keys:
-        yield "remote", "remote control: L2+B or select"
-    if view.gap > limits.packet_gap:
-        yield "stalled", f"the sender stalled: no packet for {1e3 * view.gap:.0f} ms"
-    if view.state_age > limits.state_age:
-        yield "state_lost", f"no state of the robot for {1e3 * view.state_age:.0f} ms"
-    if inbox.bad_packets >= limits.bad_packets:
-        yield "damaged", f"{inbox.bad_packets} damaged packets one after the other"
-    if inbox.share < limits.share:
-        arrive = f"only {100 * inbox.share:.0f} % of the robot's states arrive"
-        yield "share", f"{arrive}: another program talks to it, or the network loses packets"
-    if not np.isfinite(
-        state.joints.sum() + state.joint_rates.sum() + state.gyro.sum() + state.quaternion.sum()
-    ):
-        yield "not_a_number", "the robot sends what is not a number"
-    if not np.isfinite(view.jump.sum() + view.targets.sum()):
-        yield "not_a_number", "the plan is not a number"
-    if (angle := tilt(state.quaternion)) > limits.tilt:
-        yield "tilt", f"the trunk leans {np.rad2deg(angle):.0f} degrees"
-    ratio = np.abs(state.joint_rates) / np.tile(limits.joint_speed, 4)
-    if ratio[worst := int(ratio.argmax())] > 1:
-        yield "speed", f"{JOINTS[worst]} moves at {state.joint_rates[worst]:.1f} rad/s"
-    if view.over_power >= limits.power_ticks:
-        yield "power", f"power of {power(state):.0f} W"
-    if state.temperatures[worst := int(state.temperatures.argmax())] > limits.temperature:
-        yield "temperature", f"{JOINTS[worst]} is {state.temperatures[worst]:.0f} deg C hot"
-    if (wrong := np.flatnonzero(state.modes != SERVO)).size:
-        mode = int(state.modes[wrong[0]])
-        why = ", too hot" if mode == OVERHEATED else ""
-        yield "motor_mode", f"{JOINTS[wrong[0]]} is in mode {mode}{why}, not in {SERVO}"
-    if state.charge < limits.charge:
-        yield "battery", f"the battery is at {state.charge} %"
-    # a robot that lies with folded calves is beyond the limits of commands: this counts only once it stands
-    if view.phase in (Phase.READY, Phase.RUN) and beyond(state.joints, limits.position_margin):
-        yield "range", "a joint is beyond its limits"
-    if abs(view.jump[worst := int(np.abs(view.jump).argmax())]) > limits.target_jump:
-        yield "target_jump", f"the target of {JOINTS[worst]} jumps by {view.jump[worst]:+.2f} rad"
-    if view.phase != Phase.RUN:
-        return
-    if inbox.contradiction:
-        yield "pose_false", inbox.contradiction
-    if view.plan_age > limits.plan_age:
-        yield "plan_lost", f"no plan for {1e3 * view.plan_age:.0f} ms"
-    if inbox.doubt:
-        yield "pose_doubt", inbox.doubt
-    if view.pose_age > limits.pose_age:
-        yield "pose_lost", f"no pose of trunk or box for {1e3 * view.pose_age:.0f} ms"
-
-
-def tripped(view: View, limits: TripSettings) -> tuple[str, str, Phase] | None:
-    """The most urgent trip: its name, its reason, and the phase that follows; None: all is well."""
-    return next(((name, reason, TRIPS[name]) for name, reason in _reasons(view, limits)), None)
 
 
 #: Legs folded under the trunk [rad]: within the limits of commands, unlike those of a robot let down.
@@ -200,7 +112,7 @@ class Machine:
     def unfit(self, now: float, inbox: Inbox) -> str:
         """Why a robot that is not driven yet would trip as soon as it is driven; '' if it would not."""
         state = inbox.state
-        found = tripped(self._view(now, inbox, state, HOME), self.settings.trips) if state else None
+        found = self._tripped(now, inbox, state, HOME) if state else None
         return found[1] if found else ""
 
     # -- from one phase to the next -------------------------------------------------------------------
@@ -236,24 +148,76 @@ class Machine:
             return
         if self.phase >= Phase.DAMP:
             return
-        found = tripped(self._view(now, inbox, state, wanted), self.settings.trips)
+        found = self._tripped(now, inbox, state, wanted)
         if found:
             self._trip(*found, now)
 
-    def _view(self, now: float, inbox: Inbox, state: RobotState, wanted: FloatArray) -> View:
+    def _tripped(
+        self, now: float, inbox: Inbox, state: RobotState, wanted: FloatArray
+    ) -> tuple[str, str, Phase] | None:
+        """The most urgent trip: its name, its reason, and the phase that follows; None: all is well."""
+        reasons = self._reasons(now, inbox, state, wanted)
+        return next(((name, reason, TRIPS[name]) for name, reason in reasons), None)
+
+    def _reasons(
+        self, now: float, inbox: Inbox, state: RobotState, wanted: FloatArray
+    ) -> Iterator[tuple[str, str]]:
+        """Name and reason of each trip, most urgent first."""
+        limits, keys, age = self.settings.trips, pressed(state.remote), now - inbox.state_time
+        if inbox.stop:
+            yield "order", inbox.stop
+        if {"L2", "B"} <= keys or "select" in keys:
+            yield "remote", "remote control: L2+B or select"
+        if self._drives and self._gap > limits.packet_gap:
+            yield "stalled", f"the sender stalled: no packet for {1e3 * self._gap:.0f} ms"
+        if age > limits.state_age:
+            yield "state_lost", f"no state of the robot for {1e3 * age:.0f} ms"
+        if inbox.bad_packets >= limits.bad_packets:
+            yield "damaged", f"{inbox.bad_packets} damaged packets one after the other"
+        if inbox.share < limits.share:
+            arrive = f"only {100 * inbox.share:.0f} % of the robot's states arrive"
+            yield "share", f"{arrive}: another program talks to it, or the network loses packets"
+        if not np.isfinite(
+            state.joints.sum() + state.joint_rates.sum() + state.gyro.sum() + state.quaternion.sum()
+        ):
+            yield "not_a_number", "the robot sends what is not a number"
+        if not np.isfinite(self._jump.sum() + wanted.sum()):
+            yield "not_a_number", "the plan is not a number"
+        if (angle := tilt(state.quaternion)) > limits.tilt:
+            yield "tilt", f"the trunk leans {np.rad2deg(angle):.0f} degrees"
+        ratio = np.abs(state.joint_rates) / np.tile(limits.joint_speed, 4)
+        if ratio[worst := int(ratio.argmax())] > 1:
+            yield "speed", f"{JOINTS[worst]} moves at {state.joint_rates[worst]:.1f} rad/s"
+        if self._over_power >= limits.power_ticks:
+            yield "power", f"power of {power(state):.0f} W"
+        if state.temperatures[worst := int(state.temperatures.argmax())] > limits.temperature:
+            yield "temperature", f"{JOINTS[worst]} is {state.temperatures[worst]:.0f} deg C hot"
+        if (wrong := np.flatnonzero(state.modes != SERVO)).size:
+            mode = int(state.modes[wrong[0]])
+            why = ", too hot" if mode == OVERHEATED else ""
+            yield "motor_mode", f"{JOINTS[wrong[0]]} is in mode {mode}{why}, not in {SERVO}"
+        if state.charge < limits.charge:
+            yield "battery", f"the battery is at {state.charge} %"
+        # one that lies with folded calves is beyond the limits of commands: this counts once it stands
+        if self.phase in (Phase.READY, Phase.RUN) and beyond(state.joints, limits.position_margin):
+            yield "range", "a joint is beyond its limits"
+        if abs(self._jump[worst := int(np.abs(self._jump).argmax())]) > limits.target_jump:
+            yield "target_jump", f"the target of {JOINTS[worst]} jumps by {self._jump[worst]:+.2f} rad"
+        if self.phase == Phase.RUN:
+            yield from self._losses(now, inbox)
+
+    def _losses(self, now: float, inbox: Inbox) -> Iterator[tuple[str, str]]:
+        """Name and reason of each trip of plans and poses, which count while they are followed."""
         grace = self._since + _FIRST_PLAN if inbox.plan is None else -np.inf
-        return View(
-            phase=self.phase,
-            inbox=inbox,
-            state=state,
-            gap=self._gap if self._drives else 0.0,
-            state_age=now - inbox.state_time,
-            plan_age=now - max(inbox.plan_time, grace),
-            pose_age=now - max(inbox.pose_time, grace),
-            over_power=self._over_power,
-            jump=self._jump,
-            targets=wanted,
-        )
+        plan_age, pose_age = (now - max(time, grace) for time in (inbox.plan_time, inbox.pose_time))
+        if inbox.contradiction:
+            yield "pose_false", inbox.contradiction
+        if plan_age > self.settings.trips.plan_age:
+            yield "plan_lost", f"no plan for {1e3 * plan_age:.0f} ms"
+        if inbox.doubt:
+            yield "pose_doubt", inbox.doubt
+        if pose_age > self.settings.trips.pose_age:
+            yield "pose_lost", f"no pose of trunk or box for {1e3 * pose_age:.0f} ms"
 
     def _armed(self, held: bool) -> bool:
         """Whether the remote's key was pressed after the robot stood up: not held from before."""
