@@ -54,7 +54,7 @@ class Watch:
         if self._limit is None and not self._record.number and left > _LONG:
             logger.log(
                 NOTE,
-                f"this may take another {left / 60.0:.0f} minutes, at {iteration.rollouts} rollouts an "
+                f"this may take {left / 60.0:.0f} min more, at {iteration.rollouts} rollouts an "
                 f"iteration; `max_time` ends it in time with the best so far",
             )
         self._record = iteration
@@ -85,7 +85,7 @@ class Watch:
     @property
     def short(self) -> str:
         """Why the values of a search that was cut short explain too little, in words."""
-        cause = "it was interrupted" if self.interrupted else f"`max_time` of {self._limit:g} s"
+        cause = "it was interrupted" if self.interrupted else f"it had {self._limit:g} s"
         return f"the search did not end ({cause}), and its values do not explain the logs yet: give it longer"
 
     def affords(self, rollouts: float) -> bool:

@@ -102,4 +102,4 @@ def test_a_long_search_without_a_limit_says_how_long(clock, caplog) -> None:
         clock.now += 20.0
         watch.saw(iteration(number), 16)
     (said,) = caplog.messages  # 15 iterations of 20 s, and a conclusion of 60 s
-    assert said.startswith("this may take another 6 minutes, at 200 rollouts an iteration")
+    assert said.startswith("this may take 6 min more, at 200 rollouts an iteration")
