@@ -166,11 +166,8 @@ class SweepShape:
         yaw_gain: How far beside the box's middle to push, per turn of the box [m/rad], up to `yaw_limit` [m].
         leash: Largest distance of the foot's target from the foot [m]: so a soft servo pushes with little
             more than the force that the belief, and the plan's channel, demand.
-        kick_leash: The same as `leash`, in the kick and on the way back [m].
-        kick: Speed over the last `kick_length` [m] of the reach [m/s]: the box slides on by itself.
+        back_leash: The same as `leash`, on the way back [m].
         margin: Nearer to the edge of the three feet's triangle than this, the trunk first comes back [m].
-        kick_time: The kick is given up after this time [s]: a stretched leg that stalls sinks to the floor,
-            and the trunk falls after it.
         longest: The sweep, and the way to the next one, are given up after this time [s].
         return_speed: Speed with which the foot comes back when all is done [m/s].
         back: The foot is set down when it is this near to where it began [m].
@@ -185,7 +182,7 @@ class SweepShape:
     height: float = 0.14
     clearance: float = 0.01
     speed: float = 0.08
-    reach: float = 0.57
+    reach: float = 0.5
     lean: tuple[float, float, float] = (-0.11, -0.08, -0.65)
     lean_ahead: float = 0.05
     lean_time: float = 0.6
@@ -194,18 +191,15 @@ class SweepShape:
     yaw_gain: float = 0.3
     yaw_limit: float = 0.05
     leash: float = 0.004
-    kick_leash: float = 0.02
-    kick: float = 0.15
-    kick_length: float = 0.08
-    kick_time: float = 0.8
+    back_leash: float = 0.02
     margin: float = 0.03
-    longest: float = 12.0
+    longest: float = 8.0
     return_speed: float = 0.1
     back: float = 0.03
     set_down: float = 0.1
     slip_time: float = 1.0
     touching: float = 0.015
-    sweeps: int = 2
+    sweeps: int = 3
     aside: float = 0.12
 
 
@@ -245,7 +239,7 @@ class SweepMove:
         elapsed = times + owner.begun - self.reference.time + owner.shape.lead
         foot = np.broadcast_to(self.foot, (len(commands), times.size, 3)).copy()
         foot[..., :2] += elapsed[:, None] * commands[:, None, :2]
-        foot[..., 1] = np.maximum(foot[..., 1], -owner.shape.reach - owner.shape.kick_leash)
+        foot[..., 1] = np.maximum(foot[..., 1], -owner.shape.reach - owner.shape.back_leash)
         trunk = owner.lean(times, foot[..., 1]) + commands[:, None, 2:5]
         push = np.zeros((len(commands), 1, 2))
         push[:, 0, 1] = np.minimum(commands[:, 5], 0.0)
@@ -265,8 +259,8 @@ class SweepMove:
 class Sweeping:
     """The behaviour of T5; see `control.protocols.Behaviour`.
 
-    Remembers where the three feet were put and have slipped to, where the sweep and its kick began, the
-    foot's last target, and how far the foot has been lowered since it came back.
+    Remembers where the three feet were put and have slipped to, where the sweep began, the foot's
+    last target, and how far the foot has been lowered since it came back.
 
     Args:
         half_width: Distance from the box's middle to the face that is pushed [m].
@@ -292,7 +286,6 @@ class Sweeping:
     _planted: FloatArray = field(init=False)
     _start_y: float = 0.0
     _over: bool = False
-    _kick_begin: float = np.inf
     _target_y: float = 0.0
     _lowered: float = 0.0
     _last_time: float = 0.0
@@ -349,7 +342,8 @@ class Sweeping:
         self._follow(seen, passed)
         foot = np.array([line, seen[FREE, 1], self.shape.height - self.gait.height])
         trunk = self._stance.pose(state.trunk)
-        self._note_progress(foot[1], begun, at.speed)
+        s = self.shape
+        self._over |= begun > s.longest or foot[1] < -s.reach or at.speed == 0.0
         speed, push = self._pace(trunk, foot[1], face, at.speed, box_friction(belief))
         self._last_time = state.time
         if self._over and self._start_y - foot[1] < self.shape.back:
@@ -371,7 +365,7 @@ class Sweeping:
         self._goal = state.box.position[:2] - self._beside
         self.begun, self._latest = state.time + _SETTLING, state.time + self.shape.longest
         self._stance, self._planted, self._sweeps = None, neutral_feet(self.gait), self._sweeps + 1
-        self._over, self._kick_begin, self._lowered = False, np.inf, 0.0
+        self._over, self._lowered = False, 0.0
 
     def _step_aside(self, state: State, at: Reference) -> SweepMove:
         """Trot to where the next sweep begins."""
@@ -398,25 +392,6 @@ class Sweeping:
         lean = self._lean_in_world(stance, state.time, ready[1])
         return SweepMove(self, ready, None, self._planted, lean, at, np.zeros(6))
 
-    def _note_progress(self, y: float, begun: float, commanded: float) -> None:
-        """Remember when the kick began, and whether the sweep is over.
-
-        Args:
-            y: The free foot's place to the left [m].
-            begun: Time since the sweep began [s].
-            commanded: Speed along the path that the reference asks for [m/s].
-        """
-        s = self.shape
-        if self._kicks(y):
-            self._kick_begin = min(self._kick_begin, begun)
-        late = begun > min(s.longest, self._kick_begin + s.kick_time)
-        if late or y < -s.reach or commanded == 0.0:
-            self._over = True
-
-    def _kicks(self, y: float) -> bool:
-        """Whether a foot at y [m] is in the last part of its reach, where it kicks."""
-        return y < self.shape.kick_length - self.shape.reach
-
     def _pace(
         self, trunk: FloatArray, y: float, face: float, commanded: float, friction: float
     ) -> tuple[float, float]:
@@ -428,7 +403,7 @@ class Sweeping:
             return 0.0, 0.0
         if y - face >= s.touching:
             return commanded, 0.0
-        return s.kick if self._kicks(y) else commanded, friction
+        return commanded, friction
 
     def running_cost(self, state: State) -> dict[str, float]:
         """Terms of the running cost of a realised state, measured against the task's fixed path."""
@@ -457,7 +432,7 @@ class Sweeping:
         It gives way to a foot that is held up, or thrown back, no faster than the foot comes back: the trunk
         leans by it, and would unwind with a foot that has slipped.
         """
-        leash = self.shape.kick_leash if speed == self.shape.kick or self._over else self.shape.leash
+        leash = self.shape.back_leash if self._over else self.shape.leash
         wanted = self._target_y - speed * passed
         return float(max(wanted, min(y - leash, self._target_y + self.shape.return_speed * passed)))
 
