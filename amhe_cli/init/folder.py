@@ -295,7 +295,12 @@ def _refuse_nothing(
         return
     unread = foreign(topics)
     joints = single_joints(model)
-    if unread and not measured and joints and not any(_of_another(topic, joints) for topic in topics):
+    others = (  # joint states in which no name resembles one of these joints
+        topic.kind == "JointState"
+        and not any(n in joint or joint in n for n in topic.entries for joint in joints)
+        for topic in topics
+    )
+    if unread and not measured and joints and not any(others):
         raise ConfigError(_needs_fields(model, unread))
     entries = sorted({entry for topic in topics for entry in topic.entries})
     if len(entries) > _SHOWN:
@@ -305,12 +310,6 @@ def _refuse_nothing(
         f"{', '.join(single_joints(model)) or '(none)'}; the log names {', '.join(entries) or '(nothing)'}; "
         "rename the model's joints or bodies to the names in the log"
     )
-
-
-def _of_another(topic: Topic, joints: Sequence[str]) -> bool:
-    """Joint states in which no name resembles one of these joints."""
-    resembling = any(name in joint or joint in name for name in topic.entries for joint in joints)
-    return topic.kind == "JointState" and not resembling
 
 
 def _needs_fields(model: mujoco.MjModel, topics: Sequence[Topic]) -> str:

@@ -88,7 +88,12 @@ def _masses(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Gues
                 why = f"factor on the inertia of body {body}, beside that of its mass; 1: as in the model"
                 yield Guess(f"{body}_inertia_scale", entry_of(1.0, False, targets, 0.3) | {"unit": "-"}, why)
             if _PAYLOAD in words(body):
-                yield from _center_of_mass(model, body)
+                for axis, place in zip("xyz", model.body(body).ipos, strict=True):
+                    near = (place - 5.0 * _PLACE_SD, place + 5.0 * _PLACE_SD)
+                    target = {"body": body, "set": "center_of_mass", "axis": axis}
+                    why = f"centre of mass of body {body} along its {axis} [m], to about a centimetre"
+                    entry = linear_entry(place, near, _PLACE_SD, target)
+                    yield Guess(f"{body}_com_{axis}", entry, why, source="guess")
 
 
 def _weighty(model: mujoco.MjModel, body: str) -> str:
@@ -98,15 +103,6 @@ def _weighty(model: mujoco.MjModel, body: str) -> str:
     heaviest = int(parts[np.argmax(model.body_mass[parts])])
     empty = model.body_mass[row] < _WORTHWHILE * model.body_mass[heaviest]
     return model.body(heaviest).name if empty else body
-
-
-def _center_of_mass(model: mujoco.MjModel, body: str) -> Iterator[Guess]:
-    """Where a payload was put is known to a centimetre or so."""
-    for axis, place in zip("xyz", model.body(body).ipos, strict=True):
-        near = (place - 5.0 * _PLACE_SD, place + 5.0 * _PLACE_SD)
-        entry = linear_entry(place, near, _PLACE_SD, {"body": body, "set": "center_of_mass", "axis": axis})
-        why = f"centre of mass of body {body} along its {axis} [m], to about a centimetre"
-        yield Guess(f"{body}_com_{axis}", entry, why, source="guess")
 
 
 def _carried(model: mujoco.MjModel, link: int) -> int:

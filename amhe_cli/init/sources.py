@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 from amhe_cli.core.errors import ConfigError, one_of
@@ -60,9 +60,13 @@ _NAME = re.compile(r"<name>\s*([^<\s]+)\s*</name>")
 def packages_in(environment: Mapping[str, str]) -> dict[str, Path]:
     """Name of each package in ROS_PACKAGE_PATH and AMENT_PREFIX_PATH -> its folder, the first one found."""
     found: dict[str, Path] = {}
-    for folder in _crawled(environment.get("ROS_PACKAGE_PATH", "")):
-        named = _NAME.search((folder / _MANIFEST).read_text(encoding="utf-8", errors="replace"))
-        found.setdefault(named.group(1) if named else folder.name, folder)
+    for top in _folders(environment.get("ROS_PACKAGE_PATH", "")):
+        for name, inner, files in os.walk(top):
+            inner[:] = [] if _MANIFEST in files else sorted(one for one in inner if not one.startswith("."))
+            if _MANIFEST in files:  # as in ROS, no package is looked for inside another
+                folder = Path(name)
+                named = _NAME.search((folder / _MANIFEST).read_text(encoding="utf-8", errors="replace"))
+                found.setdefault(named.group(1) if named else folder.name, folder)
     for prefix in _folders(environment.get("AMENT_PREFIX_PATH", "")):
         for manifest in sorted(prefix.glob(f"share/*/{_MANIFEST}")):
             found.setdefault(manifest.parent.name, manifest.parent)
@@ -71,13 +75,3 @@ def packages_in(environment: Mapping[str, str]) -> dict[str, Path]:
 
 def _folders(path: str) -> list[Path]:
     return [Path(part) for part in path.split(os.pathsep) if part]
-
-
-def _crawled(path: str) -> Iterator[Path]:
-    """Packages below the folders of a path; as in ROS, none is looked for inside another."""
-    for top in _folders(path):
-        for folder, inner, files in os.walk(top):
-            if _MANIFEST in files:
-                yield Path(folder)
-                inner.clear()
-            inner[:] = sorted(name for name in inner if not name.startswith("."))

@@ -57,14 +57,9 @@ def friction_models(system: System) -> dict[str, System]:
 
 def of_gears(system: System) -> list[str]:
     """Names of the system's own parameters of its gears' friction."""
-    return [
-        parameter.name
-        for parameter, written in system.edits.by_parameter()
-        if any(
-            cells.field == "numeric_data" and GEARS.element(system.model, cells.row) is not None
-            for cells in written
-        )
-    ]
+    places = {place for at in GEARS.rows(system.model).values() for place in at}
+    written = ((p.name, c) for p, each in system.edits.by_parameter() for c in each)
+    return list(dict.fromkeys(name for name, c in written if c.field == "numeric_data" and c.row in places))
 
 
 def friction_entries(system: System, name: str) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 from xml.etree import ElementTree
@@ -145,32 +145,22 @@ def portable(spec: mujoco.MjSpec, folder: Path) -> tuple[str, dict[str, Path]]:
     folders = {} if compiler is None else {k: compiler.attrib.pop(k, "") for k in ("meshdir", "texturedir")}
     strip = compiler is not None and compiler.attrib.pop("strippath", "false") == "true"
     names: dict[Path, str] = {}
-    for element, attribute in _file_attributes(root):
+    elements = [element for element in root.iter() if element.tag in _FILES]
+    for element, attribute in [
+        (one, key) for one in elements for key in one.attrib if key.startswith("file")
+    ]:
         written = element.attrib[attribute]
         inner = PurePosixPath(written).name if strip else written
         source = (folder / folders.get(_FILES[element.tag], "") / inner).resolve()
         names.setdefault(source, _free_name(PurePosixPath(inner).name, set(names.values())))
         element.attrib[attribute] = names[source]
-    _drop_inputs(root)
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode") + "\n", {name: path for path, name in names.items()}
-
-
-def _drop_inputs(root: ElementTree.Element) -> None:
-    """Leave out which quantity a servo's control is: MuJoCo 3 refuses this, and no motion depends on it.
-
-    The controls of a PID or DC motor, which MuJoCo 3 does not know anyway, are counted by it.
-    """
     actuators = list(root.iter("general"))
+    # MuJoCo 3 counts the controls of a PID or DC motor, which it does not know anyway, by their inputs
     if not any(actuator.get("gaintype") in ("pid", "dcmotor") for actuator in actuators):
         for actuator in actuators:
-            actuator.attrib.pop("input", None)
-
-
-def _file_attributes(root: ElementTree.Element) -> Iterator[tuple[ElementTree.Element, str]]:
-    for element in root.iter():
-        if element.tag in _FILES:
-            yield from ((element, key) for key in list(element.attrib) if key.startswith("file"))
+            actuator.attrib.pop("input", None)  # MuJoCo 3 refuses it, and no motion depends on it
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode") + "\n", {name: path for path, name in names.items()}
 
 
 def _free_name(base: str, taken: set[str]) -> str:

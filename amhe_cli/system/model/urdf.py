@@ -132,7 +132,11 @@ def urdf_text(path: Path, options: UrdfOptions) -> tuple[str, list[str]]:
     except ElementTree.ParseError as error:
         raise ConfigError(f"{path}: not a URDF: {error}") from None
     check_elements(root, path)
-    compiler = _compiler(root)
+    inner = root
+    for tag in ("mujoco", "compiler"):  # MuJoCo's own in a URDF
+        found = inner.find(tag)
+        inner = ElementTree.SubElement(inner, tag) if found is None else found
+    compiler = inner.attrib
     folder = path.absolute().parent
     places = Places(folder, folder / compiler.pop("meshdir", ""), options.packages)
     compiler["strippath"] = "false"
@@ -193,11 +197,3 @@ def _mended(link: ElementTree.Element) -> bool:
     for name, place in INERTIA.items():
         element.set(name, repr(float(inertia[place])))
     return mass > 1e-3 and bool(moments[0] < -1e-3 * np.abs(moments).max())
-
-
-def _compiler(root: ElementTree.Element) -> dict[str, str]:
-    """Attributes of MuJoCo's compiler in a URDF: <mujoco><compiler/></mujoco>, added if missing."""
-    for tag in ("mujoco", "compiler"):
-        inner = root.find(tag)
-        root = ElementTree.SubElement(root, tag) if inner is None else inner
-    return root.attrib
