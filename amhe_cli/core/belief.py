@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from amhe_cli.core.arrays import FloatArray, sealed
@@ -22,7 +21,7 @@ from amhe_cli.core.mistakes import validated
 from amhe_cli.core.parameters import Described, phi_of, theta_of
 from amhe_cli.core.shown import Displayed
 from amhe_cli.core.statistics import Z90
-from amhe_cli.core.yaml_file import Place, YamlFile
+from amhe_cli.core.yaml_file import Place, YamlFile, dumped
 
 logger = logging.getLogger(__name__)
 
@@ -276,7 +275,7 @@ def belief_text(belief: Belief) -> str:
         "fixed": dict(belief.fixed),
         "provenance": belief.provenance,
     }
-    return _HEADER + yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=110)
+    return _HEADER + dumped(document)
 
 
 def _entry(belief: Belief, i: int) -> dict[str, object]:

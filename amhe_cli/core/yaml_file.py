@@ -113,6 +113,31 @@ for _tag, _pattern, _first in (
 _Loader.add_constructor("tag:yaml.org,2002:int", lambda loader, node: int(loader.construct_scalar(node)))
 
 
+class _Dumper(yaml.SafeDumper):
+    """SafeDumper that also quotes what the loader would read as a number, such as a hash 056015197467."""
+
+    yaml_implicit_resolvers: dict = {  # noqa: RUF012 (PyYAML's own registry)
+        first: [
+            *yaml.SafeDumper.yaml_implicit_resolvers.get(first, ()),
+            *_Loader.yaml_implicit_resolvers.get(first, ()),
+        ]
+        for first in {*yaml.SafeDumper.yaml_implicit_resolvers, *_Loader.yaml_implicit_resolvers}
+    }
+
+
+def dumped(value: Any, *, width: int = 110, flow: bool = False) -> str:
+    """A value as YAML that reads back as it was.
+
+    Args:
+        value: Plain values, lists and dictionaries.
+        width: Characters of a line.
+        flow: Everything in brackets.
+    """
+    return yaml.dump(
+        value, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=width, default_flow_style=flow
+    )
+
+
 def scalar(text: str) -> Any:
     """The value of one YAML expression, such as an option's `0.5`, `[0.3, 2]` or `true`.
 
@@ -280,7 +305,7 @@ class YamlFile:
 def flow(value: Any) -> str:
     """A value on one line of YAML."""
     plain = dict(value) if isinstance(value, Mapping) else value
-    text = yaml.safe_dump(plain, default_flow_style=True, sort_keys=False, width=10**9, allow_unicode=True)
+    text = dumped(plain, width=10**9, flow=True)
     return text.removesuffix("\n").removesuffix("\n...").strip()
 
 

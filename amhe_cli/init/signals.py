@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import mujoco
-import yaml
 
+from amhe_cli.core.yaml_file import flow
 from amhe_cli.init.names import in_motor_order, is_command, joint_paths, matched, names_the_same, words
 from amhe_cli.system.model.elements import commanded, driven_joint, followers, names_of
 
@@ -221,11 +221,8 @@ def _torques(model: mujoco.MjModel, guess: Guess, topics: Sequence[Topic]) -> st
     if not (entry := torque_entry(model, guess, topics)):
         return ""
     topic = next(topic for topic in topics if topic.name == guess.entry["topic"])
-    text = yaml.safe_dump({"torque": entry}, default_flow_style=True, sort_keys=False, width=10**6)
-    return (
-        f"if {topic.name} holds the motors' torques, they can drive the model. Add the signal "
-        f"{text.strip()[1:-1]}"
-    )
+    text = flow({"torque": entry})
+    return f"if {topic.name} holds the motors' torques, they can drive the model. Add the signal {text[1:-1]}"
 
 
 def foreign(topics: Sequence[Topic]) -> list[Topic]:

@@ -12,7 +12,7 @@ import yaml
 from amhe_cli import System
 from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.core.files import check_regular, filling, plain, whole, write_whole
-from amhe_cli.core.yaml_file import YamlFile
+from amhe_cli.core.yaml_file import YamlFile, dumped, flow, scalar
 
 
 def test_a_file_that_fails_half_way_leaves_the_old_one_and_no_scratch(tmp_path: Path) -> None:
@@ -100,3 +100,12 @@ def test_a_file_of_mistakes_is_refused_in_seconds(tmp_path: Path) -> None:
     assert len(lines) == 100
     assert last == f"{path}: there are more mistakes"
     assert lines[0].startswith(f"{path}:1:1: no key 'k0'; there is: boxes,")
+
+
+@pytest.mark.parametrize(
+    "text", ["056015197467", "5601e5197467", "1e5", "yes", "null", "0x1f", "12.5", "a: b"]
+)
+def test_a_word_that_looks_like_a_number_is_a_word_when_it_is_read_again(text: str) -> None:
+    value = {"hash": text, "number": 0.1, "count": 12, "none": None, "yes": True}
+    assert scalar(dumped(value)) == value
+    assert scalar(flow(value)) == value
