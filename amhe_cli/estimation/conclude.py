@@ -165,7 +165,7 @@ def _evidence(
     drawn: Mapping[int, tuple[FloatArray, FloatArray]],
     rival: Rival | None,
 ) -> Evidence:
-    """What verdicts are read from, for each line; of a common mean the same is said as of its first value."""
+    """Evidence for the verdict of each line; of a common mean the same is said as of its first value."""
     problem, against = fit.problem, blamed(fit) if fit.finding.done else {}
     moves, alone = doubled_prior(fit), [len(rows) == 1 for rows in lines.rows]
     firsts = [rows[0] for rows in lines.rows]
@@ -242,7 +242,7 @@ def _judged(
 
 
 def _missing(fit: FinalFit, watch: Watch) -> Missing | None:
-    """What the model lacks, where it misses the logs by more than twice their noise."""
+    """Missing causes of a model that misses the logs by more than twice their noise."""
     problem = fit.problem
     missed = any(scale > ASKED and not white for scale, white in misfits(fit).values())
     missed &= not problem.touches  # forces along a motion know no contacts; `amhe explain` looks between them

@@ -141,7 +141,7 @@ def _warn(system: System, problem: Problem) -> None:
 
 
 def concluded(search: Search, *, quick: bool = False) -> Identification:
-    """What a search found, and how sure that is; `quick` as of `conclude`."""
+    """Estimate and uncertainty from a search; `quick` as of `conclude`."""
     try:
         return conclude(search, quick=quick)
     except KeyboardInterrupt:

@@ -141,7 +141,7 @@ class MatchingCost:
         return self.clips.starts.first_index.size
 
     def predict(self, z: FloatArray, first: FloatArray | None = None) -> Predicted:
-        """What the compared channels would have shown, at the times at which they measured.
+        """Predictions of the compared channels at the times at which they measured.
 
         Args:
             z: Candidates, shape (p, d).
@@ -192,7 +192,7 @@ class MatchingCost:
         return self._read(theta, self.engine.predict(theta, starts, first, wanted))
 
     def _read(self, theta: FloatArray, predicted: Predicted) -> Predicted:
-        """What the log's sensors show of the model's values."""
+        """Sensor readings of the model's values."""
         calibration = self.system.calibration
         if not calibration.readings:
             return predicted

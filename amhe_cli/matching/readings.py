@@ -19,7 +19,7 @@ from amhe_cli.system.system import System
 
 
 def reading_of(channel: Channel, reading: Reading | None, numbers: FloatArray, true: AnyArray) -> AnyArray:
-    """What a sensor shows of true values.
+    """Sensor reading of true values.
 
     Args:
         channel: The channel.
@@ -66,7 +66,7 @@ def true_of(channel: Channel, reading: Reading, numbers: FloatArray, shown: Floa
 
 
 def state_errors(system: System, theta: FloatArray, starts: Starts) -> FloatArray | None:
-    """What calibration and gaps make wrong in recorded first states, as first-state errors.
+    """Errors of recorded first states that are due to calibration and gaps.
 
     Args:
         system: The system.

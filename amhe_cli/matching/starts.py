@@ -88,7 +88,7 @@ def _velocities(channel: Channel, windows: Sequence[Window], recorded: FloatArra
 
 
 def _recorded(channel: Channel, windows: Sequence[Window]) -> FloatArray:
-    """What was recorded of one channel at the windows' starts, shape (c, columns)."""
+    """Recorded values of one channel at the windows' starts, shape (c, columns)."""
     values = np.empty((len(windows), len(channel.columns)))
     by_log: dict[int, list[int]] = {}
     for i, window in enumerate(windows):
@@ -176,7 +176,7 @@ def _first_sd(system: System, log: Log) -> FloatArray:
 
 
 def differentiated(system: System, log: Log) -> BoolArray:
-    """Which coordinates of `first_index` are velocities that were differentiated, shape (nx,)."""
+    """Mask of the coordinates of `first_index` that are differentiated velocities, shape (nx,)."""
     flags = np.zeros(2 * system.model.nv, dtype=bool)
     for channel in system.channels:
         if channel.sets_state and log[channel.key].derived:

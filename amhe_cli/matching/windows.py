@@ -21,7 +21,7 @@ from amhe_cli.system.system import System
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observed:
-    """What one channel measured on c clips, at most s times on each.
+    """Measurements of one channel on c clips, at most s on each.
 
     Args:
         channel: The channel.
@@ -40,14 +40,14 @@ class Observed:
     noise: float | FloatArray
 
     def of(self, clips: IntArray) -> Observed:
-        """What it measured on some of the clips."""
+        """The measurements on some of the clips."""
         noise = self.noise[clips] if isinstance(self.noise, np.ndarray) else self.noise
         rows, measured, mask = (array[clips] for array in (self.rows, self.measured, self.mask))
         return replace(self, rows=rows, measured=measured, mask=mask, noise=noise)
 
     @property
     def wanted(self) -> Wanted:
-        """What an engine predicts for the samples, newest first, shape (c, s * memory)."""
+        """Request to an engine for the samples' predictions, newest first, shape (c, s * memory)."""
         if self.channel.source == "effort":  # an engine that follows the motion has no other instants
             rows = np.broadcast_to(np.arange(self.rows.shape[1]), self.rows.shape)
             return Wanted("effort", rows, self.channel.columns)

@@ -1,1 +1,1 @@
-"""What offline and online estimation and the design of experiments share: linearise, eliminate, step."""
+"""Core of offline and online estimation and of the design of experiments: linearise, eliminate, step."""

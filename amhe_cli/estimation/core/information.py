@@ -352,7 +352,7 @@ def objective(
 def clip_objectives(
     cost: MatchingCost, residuals: Residuals, first: FloatArray, times: Sequence[float]
 ) -> FloatArray:
-    """What each of c clips adds to `objective`, shape (p, c); infinite where it diverged."""
+    """Terms of `objective` by clip, shape (p, c); infinite where it diverged."""
     total = np.einsum("pcx,pcx->pc", first, first)
     for loss, time in zip(cost.losses(residuals), times, strict=True):
         total = total + loss / time

@@ -133,7 +133,7 @@ def sampling_sd(shape: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sparsity:
-    """Which columns of each channel the unknowns move.
+    """Sparsity pattern of the Jacobian: the columns of each channel that the unknowns move.
 
     Args:
         z: Channel -> those that each of the d parameters moves, shape (d, k).
@@ -146,7 +146,7 @@ class Sparsity:
     first: Mapping[str, BoolArray]
 
     def residuals(self, cost: MatchingCost, first: bool) -> BoolArray:
-        """Which of the R residuals of a cost the d parameters, and first-state errors, move, (d + nx, R)."""
+        """Sparsity pattern of a cost's R residuals by d parameters and first-state errors, (d + nx, R)."""
         parts = []
         for observed in cost.clips.observed:
             rows = self._moving(observed.channel.key, observed.width, first)
@@ -186,7 +186,7 @@ class Sparsity:
         return int(colours(np.concatenate(parts, axis=1)).max()) + 1
 
     def _moving(self, key: str, width: int, first: bool = False) -> BoolArray:
-        """Which of k columns of a channel the parameters, and first-state errors, move, (d + nx, k)."""
+        """Sparsity pattern of k columns of a channel by parameters and first-state errors, (d + nx, k)."""
         tables = (self.z, self.first) if first else (self.z,)
         every = (np.ones((len(next(iter(table.values()), ())), width), dtype=bool) for table in tables)
         return np.concatenate([table.get(key, rows) for table, rows in zip(tables, every, strict=True)])
@@ -220,13 +220,13 @@ def colours(moves: BoolArray) -> IntArray:
 
 
 def moved_along(moves: BoolArray, shape: FloatArray) -> BoolArray:
-    """What the coordinates w of samples S w move, (u, R), from what the unknowns move and S (u, u)."""
+    """Sparsity pattern by the w of samples S w, (u, R), from that by the unknowns and S (u, u)."""
     return np.asarray((shape != 0.0).T.astype(int) @ moves.astype(int) > 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FirstStates:
-    """What is known of the errors e of the recorded first states of c clips, in units of their sd.
+    """Distribution of the errors e of the recorded first states of c clips, in units of their sd.
 
     Args:
         mean: Mean of e, shape (c, nx); nx = 0 takes the recorded states as exact.
@@ -306,15 +306,8 @@ def linearise(
     columns = np.arange(d + nx) if moves is None else colours(moves)
     unknowns = int(columns.max()) + 1
     directions = orthogonal_directions(unknowns, max(unknowns, samples // 2), rng)[:, columns]
-    directions = directions * SHORT if straight else directions
-    half, others = len(directions), directions[:0] if straight else -directions
-    signs = np.concatenate((directions, others, np.zeros((1, d + nx))))
-    candidates = cost.system.space.clip(z + signs[:, :d] @ shape.T)  # h pairs, and their centre
-    # a bound may have cut a step short: the step that was really taken is half the pair's difference
-    plus, minus = candidates[:half], candidates[-1:] if straight else candidates[half:-1]
-    first_steps = directions[:, d:] * (0.5 if straight else 1.0)
-    steps = np.concatenate((coordinates(shape, 0.5 * (plus - minus)), first_steps), axis=1)
-    middles = 0.5 * (plus + minus)[: len(others)] - z
+    half = len(directions)
+    signs, candidates, steps, middles = _samples(cost.system.space, z, shape, directions, straight)
 
     def of_clips(cost: MatchingCost, first: FirstStates) -> Linearisation:
         errors = first.mean + np.einsum("cij,hj->hci", first.shape, signs[:, d:])
@@ -349,6 +342,27 @@ def linearise(
     pieces = ((clips, of_clips(cost.of(clips), first.of(clips))) for clips in parts)
     # where nothing touches, a step is none the worse for slopes of seven digits
     return _joined(cost, first, pieces, np.float64 if moves is None else np.float32)
+
+
+def _samples(
+    space: ParameterSpace, z: FloatArray, shape: FloatArray, directions: FloatArray, straight: bool
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Samples about z (d,): h pairs along directions (h, d + nx) of unit variance, or one side, and z itself.
+
+    Returns:
+        The samples' w (p, d + nx) and candidates (p, d), the last ones those of z; half the difference of each
+        pair's w (h, d + nx); and how far the pairs' middles lie from z (h, d), none of one side.
+    """
+    d, half = z.size, len(directions)
+    directions = directions * SHORT if straight else directions
+    others = directions[:0] if straight else -directions
+    signs = np.concatenate((directions, others, np.zeros((1, directions.shape[1]))))
+    candidates = space.clip(z + signs[:, :d] @ shape.T)
+    # a bound may have cut a step short: the step that was really taken is half the pair's difference
+    plus, minus = candidates[:half], candidates[-1:] if straight else candidates[half:-1]
+    first_steps = directions[:, d:] * (0.5 if straight else 1.0)
+    steps = np.concatenate((coordinates(shape, 0.5 * (plus - minus)), first_steps), axis=1)
+    return signs, candidates, steps, 0.5 * (plus + minus)[: len(others)] - z
 
 
 def turns(count: int, each: int, most: int = 0) -> list[IntArray]:
@@ -394,7 +408,7 @@ def orthogonal_directions(dimension: int, count: int, rng: np.random.Generator) 
 
 
 def _moved(cost: MatchingCost, sparsity: Sparsity, shape: FloatArray, first_shape: FloatArray) -> BoolArray:
-    """Which residuals each coordinate w of the samples moves, shape (d + nx, R)."""
+    """Sparsity pattern by each coordinate w of the samples, shape (d + nx, R)."""
     d, nx = len(shape), first_shape.shape[1]
     moves = sparsity.residuals(cost, nx > 0)
     parts = moved_along(moves[:d], shape), moved_along(moves[d:], np.abs(first_shape).sum(axis=0))
@@ -467,7 +481,7 @@ def without_jitter(slopes: FloatArray, jitter: FloatArray, pairs: int, d: int) -
 
 
 def _beyond(square: FloatArray, noise: FloatArray) -> FloatArray:
-    """What takes the noise (...) out of slopes with these squares (..., n, n), shape (..., n, n)."""
+    """Shrinkage (..., n, n) that takes noise (...) out of slopes with these squares (..., n, n)."""
     values, vectors = np.linalg.eigh(square)
     share = np.maximum(1.0 - np.asarray(noise)[..., None] / np.maximum(values, 1e-300), 0.0)
     return np.asarray((vectors * np.sqrt(share)[..., None, :]) @ vectors.swapaxes(-1, -2))

@@ -1,4 +1,4 @@
-"""What an identification found: plain values for the table, the files and the report."""
+"""Result of an identification: plain values for the table, the files and the report."""
 
 from __future__ import annotations
 
@@ -224,7 +224,7 @@ class Iteration:
     stage: str = ""  # 'explore' or 'polish' of the linearised search; 'conclusion' of a part of that
 
     def told(self, total: int) -> str:
-        """What goes on, in words: 'fitting, 5 of about 16: cost 1.04', or 'checking, 14 of 15: ...'."""
+        """Progress in words: 'fitting, 5 of about 16: cost 1.04', or 'checking, 14 of 15: ...'."""
         if self.stage != "conclusion":
             return f"fitting, {self.number} of about {total}: cost {self.cost:.4g}"
         part = {"search for a second minimum": "is there a second solution?"}.get(self.method, self.method)
@@ -279,7 +279,7 @@ class ClipCount:
 
 @dataclass(frozen=True, slots=True)
 class RunEstimate:
-    """What one log says alone.
+    """Estimate from one log alone.
 
     Args:
         log: Name of the log.

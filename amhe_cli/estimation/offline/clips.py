@@ -168,6 +168,6 @@ def _steps(seconds: float, part: Window) -> int:
 
 
 def clip_name(window: Window) -> str:
-    """Which clip of which log it is: 'push.mcap 0.80-1.60 s'."""
+    """Name of a clip: 'push.mcap 0.80-1.60 s'."""
     dt = window.log.dt
     return f"{Path(window.log.source).name} {window.start * dt:.2f}-{window.stop * dt:.2f} s"

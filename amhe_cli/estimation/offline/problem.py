@@ -57,7 +57,7 @@ _TOUCH = 0.005
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What a search needs.
+    """An identification problem.
 
     Args:
         system: Model, parameters with their prior, signals.
@@ -197,7 +197,7 @@ class Problem:
         return FirstStates.recorded(len(cost.clips.windows), cost.nx * fitted)
 
     def first_states(self, told: Information, dz: FloatArray) -> FirstStates:
-        """What the clips of an information know of their first states after a step of z (d,)."""
+        """Posterior of the clips' first states after a step of z (d,)."""
         sparsity = self.sparsity if told.nuisance.shape[1] else None  # recorded first states have no errors
         alike = None if sparsity is None else sparsity.first_alike
         return told.first_states(dz, NARROWEST if self.non_smooth else self.finest, alike)
@@ -220,7 +220,7 @@ class Problem:
 
     @cached_property
     def _moved(self) -> tuple[dict[str, BoolArray], BoolArray]:
-        """Which columns of each channel a step of half a prior sd moves, (d, k), and which diverge, (d,).
+        """Columns of each channel that a step of half a prior sd moves, (d, k), and steps that diverge, (d,).
 
         The other side is tried of those alone that the first side leaves without an effect.
         """
@@ -243,7 +243,7 @@ class Problem:
 
     @cached_property
     def active(self) -> BoolArray:
-        """Which parameters these logs depend on at all, shape (d,)."""
+        """Mask of the parameters that these logs depend on at all, shape (d,)."""
         if self.whole is not None:
             return self.whole.active
         moved, diverged = self._moved  # a step that diverges had an effect
@@ -251,7 +251,7 @@ class Problem:
 
     @cached_property
     def sparsity(self) -> Sparsity | None:
-        """Which measurements the unknowns move; None: any may move all, as where something touches."""
+        """Sparsity pattern of the Jacobian; None: it is dense, as where something touches."""
         if self.whole is not None:
             return self.whole.sparsity
         moved, diverged = self._moved
@@ -384,7 +384,7 @@ def spread_floor(problem: Problem) -> FloatArray:
 
 
 def _moved_columns(cost: MatchingCost, residuals: Residuals) -> dict[str, BoolArray]:
-    """Which columns of each channel all candidates but the first move against it, shape (p - 1, k)."""
+    """Mask of the columns of each channel that all candidates but the first move, shape (p - 1, k)."""
     moved: dict[str, BoolArray] = {}
     for observed, lent in zip(cost.clips.observed, residuals.values, strict=True):
         values = to_host(lent)

@@ -44,7 +44,7 @@ _EVERY = 10
 
 @dataclass(slots=True, eq=False)
 class Considered:
-    """What held parameters that somebody measured leave open: considered, not estimated; changes in place.
+    """Uncertainty of held parameters that somebody measured (Schmidt's consider filter); changes in place.
 
     Schmidt's filter (1966): a number c ~ N(0, 1) that the model has wrong by c of its sd moves each window's
     own estimate by T c, and the recursion passes on the error s c of the estimate. With K = I - gain M of an
@@ -68,7 +68,7 @@ class Considered:
 
     @property
     def covariance(self) -> FloatArray | float:
-        """What the held parameters add to the covariance of z, shape (d, d); 0 where nobody measured any."""
+        """Covariance of z that is due to held parameters, shape (d, d); 0 where nobody measured any."""
         return self._error @ self._error.T if self._error.size else 0.0
 
     def after(self, cost: MatchingCost, z: FloatArray, fit: WindowFit, kept: FloatArray) -> None:

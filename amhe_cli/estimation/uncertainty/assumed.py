@@ -1,4 +1,4 @@
-"""What estimates owe to numbers that the model takes for granted: contacts, solver, time step, and others.
+"""Sensitivity of estimates to numbers that a model takes for granted: contacts, solver, time step, others.
 
 Each is a nuisance r ~ N(0, 1) beside z, and a row of one regression: with slopes by r, the log gives r a
 posterior N(m, S), and the estimate moves by A r. It was found at r = 0 and stays there, so that its error is
@@ -55,7 +55,7 @@ EXAMINED = 1000
 
 
 def assumed(fit: FinalFit) -> tuple[Term, tuple[str, ...]]:
-    """What the estimate owes to assumed values, and the settings of those that act and are taken as exact."""
+    """Error due to assumed values, and the settings of those that act and are taken as exact."""
     problem, values = fit.problem, _acting_values(fit)
     exact = [value.setting for value in values if value.sd == 0.0]
     if problem.settings.identify.assumed.time_step == 0.0:
@@ -83,7 +83,7 @@ def allowed(rise: float) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Change:
-    """What one standard deviation of a numerical choice does.
+    """Effect of one standard deviation of a numerical choice.
 
     Args:
         source: The choice.
@@ -108,7 +108,7 @@ class _Change:
 
 
 def _changed(fit: FinalFit, cost: MatchingCost) -> tuple[_Change, float]:
-    """What the engine of `cost` changes of an estimate, and by which share the misfit rises."""
+    """Effect of another engine on an estimate, and the share by which the misfit rises."""
     slopes, none = fit.slopes, np.zeros_like(fit.z)
 
     def after(cost: MatchingCost, step: FloatArray, first: FloatArray) -> tuple[Residuals, float]:
@@ -219,7 +219,7 @@ class _Nuisances:
 
     @property
     def sources(self) -> list[Source]:
-        """What each of them is."""
+        """Their sources, in order."""
         rows = [change.source for change in self.changes]
         load = "center_of_mass"
         return rows + [
@@ -330,7 +330,7 @@ class _Nuisances:
 def _against(
     sources: Sequence[Source], known: FloatArray, mean: FloatArray, wrong: IntArray
 ) -> Iterator[str]:
-    """What the logs speak against, and by how much it alone would be wrong, with what explains them as well.
+    """Sentences on assumed values that the logs contradict, and on rivals that explain as much.
 
     Args:
         sources: What the nuisances are.
@@ -371,7 +371,7 @@ def _acting_values(fit: FinalFit) -> list[Assumed]:
 
 
 def _acting(fit: FinalFit) -> Acting:
-    """What acts in the rollouts at the estimate."""
+    """Elements of the model that act in the rollouts at the estimate."""
     system, cost, found = fit.problem.system, fit.slopes.cost, []
     if system.match == "effort":
         return Acting.nothing(system.model)

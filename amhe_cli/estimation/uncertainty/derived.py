@@ -1,4 +1,4 @@
-"""What follows from an estimate and its covariance: products, inertias, what efforts tell of joints."""
+"""Quantities derived from an estimate and its covariance: products, inertias, efforts of joints."""
 
 from __future__ import annotations
 

@@ -91,7 +91,7 @@ def grouped(z: FloatArray, covariance: FloatArray, members: Sequence[int]) -> Co
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WithMeans:
-    """What is reported: the unknowns of a search, and before values of the logs' own their common mean.
+    """Lines of a report: the unknowns of a search, and before values of the logs' own their common mean.
 
     Args:
         space: The lines.

@@ -99,7 +99,7 @@ class Term:
         return self.errors @ self.errors.T
 
     def of(self, i: int) -> list[tuple[float, Source]]:
-        """What each named source adds to the variance of one parameter, the largest first."""
+        """Variance of one parameter by named source, the largest first."""
         variances = (self.errors[i] ** 2).tolist()
         return sorted(zip(variances, self.sources, strict=False), key=lambda pair: -pair[0])
 
@@ -142,7 +142,7 @@ class Ledger:
         return Ledger(tuple(replace(term, errors=slopes @ term.errors) for term in self.terms))
 
     def variance(self, i: int, kinds: Sequence[str]) -> float:
-        """What some kinds of terms add to the variance of one parameter."""
+        """Variance of one parameter that is due to some kinds of terms."""
         return float(sum((term.errors[i] ** 2).sum() for term in self.terms if term.kind in kinds))
 
     def budget(self, i: int) -> dict[str, float]:
@@ -154,7 +154,7 @@ class Ledger:
     def given(
         self, i: int, own: Collection[str] = (), *, doubted: bool = False
     ) -> list[tuple[float, Source]]:
-        """What one parameter owes to numbers that somebody else gave, as variances, the largest first.
+        """Variance of one parameter that is due to numbers somebody else gave, the largest first.
 
         These are the numbers of the model that are no parameters, and the priors of the other parameters.
 

@@ -1,4 +1,4 @@
-"""What the model does not explain: misfit beyond noise, clips that are left out, a search cut short."""
+"""Misfit beyond noise, clips that are left out, a search cut short."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def shared_by_joints(system: System) -> dict[str, int]:
 
 
 def _remedy(system: System, key: str) -> str:
-    """What to do about a channel that the model misses; causes that nothing tested are not named."""
+    """Advice on a channel that the model misses; causes that nothing tested are not named."""
     held = held_fixed(system, key)
     if not held:
         return "free what it may lack"
@@ -158,7 +158,7 @@ def _remedy(system: System, key: str) -> str:
 
 
 def held_fixed(system: System, key: str) -> list[str]:
-    """What a system holds fixed and may have wrong where it misses a channel, in the order to look at it."""
+    """Fixed numbers that may be wrong where a system misses a channel, in the order to look at them."""
     key = key.partition(PART)[0]
     held, reading = _of_drives(system), system.calibration.readings.get(key)
     if key.endswith(".effort") and not (reading and system.edits.calibrated & set(reading.scale)):

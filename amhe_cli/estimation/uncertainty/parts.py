@@ -113,7 +113,7 @@ def _weight(alone: Parts, pair: tuple[str, str], excess: FloatArray, joint: Floa
 
 
 def _kinds(fit: FinalFit) -> Parts:
-    """What each kind of measurement says alone, such as positions and velocities."""
+    """Posteriors from each kind of measurement alone, such as positions and velocities."""
     kinds = [o.channel.quantity.replace("_", " ") for o in fit.slopes.cost.clips.observed]
     if len(set(kinds)) < 2:
         return {}
@@ -124,12 +124,12 @@ def _kinds(fit: FinalFit) -> Parts:
 
 
 def _alone(fit: FinalFit, told: Information | None = None, side: BoolArray | float = 1.0) -> Posterior:
-    """What a part of the linearisation says; the prior's mean is the joint estimate."""
+    """Posterior from a part of the linearisation; the prior's mean is the joint estimate."""
     return posterior(np.zeros_like(fit.z), told or fit.information, fit.weight * side, fit.posterior.prior)
 
 
 def each_log(fit: FinalFit) -> dict[str, Posterior]:
-    """What each log says alone, by its name; none of a single log, or of many."""
+    """Posterior from each log alone, by its name; none of a single log, or of many."""
     clips = fit.problem.clips
     sides = {
         log: np.array([clip.log is log for clip in clips]) for log in dict.fromkeys(c.log for c in clips)
@@ -178,7 +178,7 @@ def _halves(joint: FinalFit, refitted: bool) -> Parts:
 
 
 def _second_half(problem: Problem) -> BoolArray:
-    """Which clips are of the second half of those of their log."""
+    """Mask of the clips in the second half of their log's."""
     late = np.zeros(len(problem.clips), dtype=bool)
     for log in dict.fromkeys(clip.log for clip in problem.clips):
         rows = np.array([i for i, clip in enumerate(problem.clips) if clip.log is log])

@@ -23,12 +23,12 @@ ALONE = 1e-9
 
 
 def noise(fit: FinalFit) -> Term:
-    """What noise, and the scatter between clips, make of the estimate: H^-1 B H^-1."""
+    """Covariance due to noise and the scatter between clips: H^-1 B H^-1."""
     return term_of("noise", fit.posterior.noise)
 
 
 def prior(fit: FinalFit) -> Term:
-    """What the estimate owes to the priors, H^-1 P H^-1: one error for each parameter's prior.
+    """Covariance due to the priors, H^-1 P H^-1: one error for each parameter's prior.
 
     The part that a belief says to come from the model, P S P of P, is in the shared term `inherited`.
     """
@@ -56,7 +56,7 @@ def _width(parameter: Parameter) -> tuple[float, str]:
 
 
 def repeats(fit: FinalFit) -> Term:
-    """What the model's own errors add.
+    """Covariance due to the model's own errors.
 
     Noise averages out over clips. What the model gets wrong does not: it returns with each motion like it. So
     what repeats within a clip, the autocorrelation of its residuals, counts once for all clips, and not once
@@ -80,7 +80,7 @@ def search(fit: FinalFit) -> Term:
 
 
 def declared(fit: FinalFit) -> Term:
-    """What `identify.model_error` says, an sd of each parameter; errors go together as the posterior's."""
+    """Covariance of `identify.model_error`, an sd of each parameter, correlated as the posterior is."""
     model_error = fit.problem.settings.identify.model_error
     sd = fit.space.in_z([model_error.get(name, 0.0) for name in fit.space.names])
     together = correlation(fit.posterior.covariance)

@@ -41,7 +41,7 @@ CONTRADICTIONS = ("parts", "curvature")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """What verdicts are read from.
+    """Evidence that verdicts are read from.
 
     Args:
         z: The estimate, shape (d,).

@@ -169,7 +169,7 @@ def _rms(values: FloatArray) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Compared:
-    """What the errors of several models say.
+    """Comparison of the errors of several models.
 
     Args:
         names: Names of the models.
@@ -275,7 +275,7 @@ def improves(horizons: Sequence[AtHorizon], one: int, other: int) -> bool:
 
 
 def verdict(horizons: Sequence[AtHorizon], names: Sequence[str], best: int, other: int) -> str:
-    """What the logs say of the best system against another one, in words."""
+    """Comparison of the best system with another one, in words."""
     one, two = names[best], names[other]
     wins = [at for at in horizons if at.better(best, other)]
     losses = [at for at in horizons if at.better(other, best)]
