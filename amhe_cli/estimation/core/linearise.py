@@ -347,7 +347,7 @@ def linearise(
 def _samples(
     space: ParameterSpace, z: FloatArray, shape: FloatArray, directions: FloatArray, straight: bool
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Samples about z (d,): h pairs along directions (h, d + nx) of unit variance, or one side, and z itself.
+    """Samples about z (d,): pairs along h directions (h, d + nx) of unit variance, or one side, and z.
 
     Returns:
         The samples' w (p, d + nx) and candidates (p, d), the last ones those of z; half the difference of each
