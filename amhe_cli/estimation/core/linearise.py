@@ -350,8 +350,8 @@ def _samples(
     """Samples about z (d,): pairs along h directions (h, d + nx) of unit variance, or one side, and z.
 
     Returns:
-        The samples' w (p, d + nx) and candidates (p, d), the last ones those of z; half the difference of each
-        pair's w (h, d + nx); and how far the pairs' middles lie from z (h, d), none of one side.
+        The samples' w (p, d + nx) and candidates (p, d), the last of z; half the difference of each pair's w
+        (h, d + nx); and how far the pairs' middles lie from z (h, d), none of one side.
     """
     d, half = z.size, len(directions)
     directions = directions * SHORT if straight else directions
