@@ -7,6 +7,7 @@ import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import reduce
 from typing import Any
 
 from amhe_cli.api.arguments import checked
@@ -67,7 +68,7 @@ def repair(
     kept, tried, refused = dict[str, dict[str, Any]](), list[Repair](), set[str]()
 
     def attempt(causes: dict[str, dict[str, Any]], name: str) -> tuple[Result | None, Repair]:
-        entries = {key: entry for one in causes.values() for key, entry in one.items()}
+        entries = reduce(merged, causes.values(), {})  # a later cause may move what an earlier one added
         more = {"only": only and [*only, *entries], "progress": progress, **how}
         outcome, found, errors = _tried(system, logs, entries, best, name in causes, more)
         return found, Repair(name, "", {}, False, outcome, errors)

@@ -117,16 +117,24 @@ def test_nothing_is_kept_of_a_faultless_log(tmp_path: Path, monkeypatch: pytest.
 def test_a_cause_whose_place_a_later_one_takes_is_left_out_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Errors of models are given here: that of `a` and `b` is that of `b` alone; `c` helps none."""
+    """Errors of models are given here: that of `a` and `b` is that of `b` alone; `c` helps none.
+
+    What `b` says of the parameter that `a` adds is added to what `a` says.
+    """
     system, log = _swing(tmp_path, 0.0)
     opened = amhe.System.load(system)
     error = {"": 8.0, "a": 4.0, "ab": 1.0, "b": 1.0, "c": 8.0, "ac": 4.0, "bc": 1.0, "abc": 1.0}
     zeros, now = np.zeros(1), [""]
-    rows = [MissingRow(n, "hip", n, 0.5, (), {n: {}}, ("q", zeros, zeros, zeros)) for n in "cab"]
+    entries_of = {"c": {"c": {}}, "a": {"a": {"unit": "m"}}, "b": {"b": {}, "a": {"nominal": 2.0}}}
+    rows = [
+        MissingRow(n, "hip", n, 0.5, (), adds, ("q", zeros, zeros, zeros)) for n, adds in entries_of.items()
+    ]
+    given = list[dict[str, Any]]()
     base = amhe.identify(opened, amhe.read_log(log, opened), threads=1)
     named = replace(base, found=replace(base.found, missing=Missing(tuple(rows))))
 
     def tried(_: Any, __: Any, entries: dict[str, Any], *more: Any) -> tuple[str, amhe.Result, Any]:
+        given.append(entries)
         both = np.array([error[now[0]], error["".join(sorted(entries))]])
         ratios = both[:, None] / both[None]
         at = AtHorizon(0.5, False, 9, {("hip", "rad"): both}, ratios, 0.9 * ratios, 1.1 * ratios)
@@ -144,6 +152,7 @@ def test_a_cause_whose_place_a_later_one_takes_is_left_out_again(
         ("c@hip", False), ("a@hip", False), ("c@hip", False), ("b@hip", True), ("c@hip", False),
         ("without a@hip", True),
     ]  # fmt: skip
+    assert given[3] == {"a": {"unit": "m", "nominal": 2.0}, "b": {}}
     said = [row[-1] for row in repairs_table(found.repairs).rows]
     assert said == ["", "not kept", "dropped later", "not kept", "kept", "not kept", "kept"]
     assert [row[1] for row in repairs_table(found.repairs).rows][-1] == sized(1.0, "rad")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from statistics import NormalDist
 from typing import Any
 
@@ -49,7 +50,8 @@ def drive_causes(maker: CauseMaker) -> Iterator[Cause]:
             yield Cause("idle actuator", name, dofs, -values, words, against)
             continue
         servo = np.abs(by[:, a] - maker.commands[:, a]).max() > 0.0
-        if servo and not _gain_is_free(maker, a):
+        gains = product(("actuator_gainprm", "actuator_biasprm", "actuator_gear"), (0, 1))
+        if servo and not any(maker.free(field, a, column) for field, column in gains):
             words = times(f"{name} gives", "of what the model says", -1.0)
             yield Cause("gain", name, dofs, -values, words, against, lambda c, sd, n=name: _gain(n), 0.95)
         words = times(f"the command of {name} acts", "times as the model says")
@@ -79,11 +81,6 @@ def _gain(name: str) -> dict[str, Any]:
 def _delay(late: float) -> dict[str, Any]:
     entry = {"nominal": late, "bounds": [0.0, 10.0 * late], "scale": "linear", "prior_sd": late}
     return {"command_delay": entry | {"targets": [{"set": "command_delay"}]}}
-
-
-def _gain_is_free(maker: CauseMaker, actuator: int) -> bool:
-    fields = ("actuator_gainprm", "actuator_biasprm", "actuator_gear")
-    return any(maker.free(field, actuator, column) for field in fields for column in (0, 1))
 
 
 def _inside(maker: CauseMaker, a: int) -> Iterator[Cause]:
@@ -168,11 +165,6 @@ def _limited(
     return found
 
 
-def _farthest(count: int) -> float:
-    """How far the farthest of so many values is from its prior by chance, one time in a hundred [sd]."""
-    return NormalDist().inv_cdf(1.0 - 0.005 / max(count, 1))
-
-
 def prior_causes(maker: CauseMaker) -> Iterator[Cause]:
     """Values that the logs want farther off than their priors allow.
 
@@ -182,7 +174,8 @@ def prior_causes(maker: CauseMaker) -> Iterator[Cause]:
     fields: dict[str, set[str]] = {}
     for cell, parameter in maker.set.items():
         fields.setdefault(parameter.name, set()).add(cell[0])
-    scales, far = scale_of(maker.system), _farthest(len(space))
+    scales = scale_of(maker.system)
+    far = NormalDist().inv_cdf(1.0 - 0.005 / max(len(space), 1))  # of so many, by chance in one of 100
     for parameter, slopes, scale in zip(space.parameters, found.slopes[:, found.rows], scales, strict=True):
         own = tuple(d for d, moved in zip(dofs, np.abs(slopes).max(axis=0), strict=True) if moved)
         if parameter.owner or not own or not fields.get(parameter.name, _INERT).isdisjoint(_INERT):

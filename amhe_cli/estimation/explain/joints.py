@@ -19,6 +19,7 @@ from amhe_cli.estimation.explain.candidate import (
     positive,
     says,
     signed,
+    times,
 )
 from amhe_cli.system.model.elements import axis_in
 
@@ -55,7 +56,8 @@ def joint_causes(maker: CauseMaker) -> Iterator[Cause]:
         yield from _numbers(maker, j)
         yield from _in_time(maker, j)
         if effort:
-            yield maker.on(j, "torque scale", [j.given], _scaled, "time")
+            words = times("its measured torque is", "times what the motion needs", -1.0)
+            yield maker.on(j, "torque scale", [j.given], words, "time")
     if effort:
         yield _late_torques(maker)
     for j in hinges:
@@ -65,10 +67,6 @@ def joint_causes(maker: CauseMaker) -> Iterator[Cause]:
         yield from _repeating(maker, j)
     for j, other in permutations(hinges, 2):
         yield from _coupling(maker, j, other)
-
-
-def _scaled(c: FloatArray, sd: FloatArray) -> str:
-    return f"its measured torque is {number(1.0 - c[0], sd[0])} times what the motion needs"
 
 
 def _late_torques(maker: CauseMaker) -> Cause:

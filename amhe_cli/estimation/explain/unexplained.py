@@ -56,7 +56,8 @@ class Unexplained:
     @cached_property
     def _mass(self) -> FloatArray:
         """The mass matrix of the measured degrees of freedom at the rows that count, shape (r, k, k)."""
-        return _of(self.forces.mass[self.rows], self.motion.dofs)
+        dofs = list(self.motion.dofs)
+        return self.forces.mass[self.rows][:, dofs][:, :, dofs]
 
     @cached_property
     def _inverse(self) -> FloatArray:
@@ -159,19 +160,11 @@ def apart_in(system: System, logs: Sequence[Log], motion: DrivenMotion, theta: F
     return clear
 
 
-def accelerations(mass: FloatArray, force: FloatArray, dofs: Sequence[int]) -> FloatArray:
-    """What forces (..., n, nv) make of measured degrees of freedom, shape (..., n, k)."""
-    return np.einsum("nij,...nj->...ni", np.linalg.inv(_of(mass, dofs)), force[..., list(dofs)])
-
-
-def _of(mass: FloatArray, dofs: Sequence[int]) -> FloatArray:
-    return mass[:, list(dofs)][:, :, list(dofs)]
-
-
 def missing(motion: DrivenMotion, found: Forces) -> FloatArray:
     """Acceleration that is measured and that no force gives, filtered, shape (n, k).
 
     An acceleration, not a force: that of a model which weighs nothing and gives nothing would be none.
     """
     force = motion.filtered(found.missing + found.friction * direction(motion.qvel))
-    return accelerations(found.mass, force, motion.dofs)
+    dofs = list(motion.dofs)
+    return np.einsum("nij,...nj->...ni", np.linalg.inv(found.mass[:, dofs][:, :, dofs]), force[..., dofs])
