@@ -31,7 +31,6 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Log
 from amhe_cli.core.rotations import exp, multiply
 from amhe_cli.engine.gpu.engine import GpuEngine
-from amhe_cli.engine.gpu.shared import spent_at
 from amhe_cli.engine.open import open_engine, shared_cards
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.offline import search
@@ -321,7 +320,7 @@ def fits(name: str, kinds: Sequence[str], cores: int, repetitions: int) -> Itera
 
 
 def many(name: str, kind: str, count: int, jobs: int, limit: float | None) -> Iterator[list[str]]:
-    """Searches of the same log side by side, one thread each: how long, and what the cards did."""
+    """Searches of the same log side by side, one thread each: how long they take."""
     began, done = time.perf_counter(), list[Fit]()
     with shared_cards(kind) as shared, ProcessPoolExecutor(jobs, get_context("forkserver")) as executor:
         running = [executor.submit(fit, name, shared, 1, seed) for seed in range(count)]
@@ -333,21 +332,14 @@ def many(name: str, kind: str, count: int, jobs: int, limit: float | None) -> It
         except TimeoutError:
             print(f"{len(done)} done when the time was over")
         seconds = time.perf_counter() - began
-        spent = spent_at(shared.partition("@")[2]) if kind != "cpu" else []
         for process in executor._processes.values() if len(done) < count else ():
             process.kill()
-    runs = [run for run in spent if run.jobs]
-    for run in spent:
-        about = f"{run.jobs} jobs, {run.rollouts} rollouts, {run.steps} steps"
-        print(f"{run.at:7.2f} +{run.seconds:5.2f} s: {about}", flush=True)
-    busy, z = sum(run.seconds for run in spent), np.array([one.z for one in done] or [[np.nan]])
-    yield [
-        name, kind, str(len(done)), str(jobs), f"{seconds:.1f} s", f"{len(done) / seconds * 3600:.0f}",
-        f"{np.mean([one.cpu for one in done]):.1f} s", str(len(runs)),
-        f"{np.mean([run.jobs for run in runs] or [0]):.1f}",
-        f"{busy:.1f} s", f"{sum(run.steps for run in runs) / max(busy, 1e-9) / 1e6:.2f} M",
-        f"{(np.ptp(z, axis=0) / (done[0].sd if done else 1.0)).max():.2f}",
-    ]  # fmt: skip
+    if done:
+        z, cpu = np.array([one.z for one in done]), float(np.mean([one.cpu for one in done]))
+        yield [
+            name, kind, str(len(done)), str(jobs), f"{seconds:.1f} s", f"{len(done) / seconds * 3600:.0f}",
+            f"{cpu:.1f} s", f"{(np.ptp(z, axis=0) / done[0].sd).max():.2f}",
+        ]  # fmt: skip
 
 
 def main() -> None:
@@ -383,8 +375,8 @@ def main() -> None:
                 print(*lines.append(line) or line, flush=True)
         if asked.many:
             columns = (
-                "system", "engine", "searches", "processes", "time", "an hour", "CPU, each", "runs",
-                "jobs a run", "card busy", "steps/s", "seeds apart [sd]",
+                "system", "engine", "searches", "processes", "time", "an hour", "CPU, each",
+                "seeds apart [sd]",
             )  # fmt: skip
         else:
             columns = (

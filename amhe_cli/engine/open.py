@@ -6,7 +6,7 @@ import copy
 import logging
 from collections.abc import Iterator
 from concurrent.futures import Executor
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 
 import mujoco
 import numpy as np
@@ -16,7 +16,7 @@ from amhe_cli.engine.auto import AutoEngine, Opening, in_background
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.gpu.engine import GpuEngine
 from amhe_cli.engine.gpu.shared import sharing
-from amhe_cli.engine.gpu.visible import visible_cards
+from amhe_cli.engine.gpu.visible import missing, visible_cards
 from amhe_cli.engine.inverse import InverseEngine
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.engine.spread import SpreadEngine
@@ -119,7 +119,7 @@ def _gpu_engine(
     try:
         return GpuEngine(model, edits, input_spec, sensors, cards)
     except ImportError as error:
-        raise _missing(error) from None
+        raise missing(error) from None
 
 
 @contextmanager
@@ -134,19 +134,8 @@ def shared_cards(kind: str) -> Iterator[str]:
     if kind == "cpu":
         yield kind
         return
-    with ExitStack() as stack:
-        try:
-            address = stack.enter_context(sharing(visible_cards()))
-        except ImportError as error:
-            raise _missing(error) from None
+    with sharing(visible_cards()) as address:
         yield f"{kind}@{address}"
-
-
-def _missing(error: ImportError) -> SimulationError:
-    """The refusal of an engine without the libraries of the cards."""
-    return SimulationError(
-        f"the engine 'gpu' needs {error.name}, which is not installed: pip install 'amhe[gpu]'"
-    )
 
 
 def contact_variants(engine: Engine, model: mujoco.MjModel) -> dict[str, Engine]:

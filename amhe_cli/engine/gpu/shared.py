@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import pickle
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager, nullcontext
@@ -28,6 +27,7 @@ from amhe_cli.core.arrays import AnyArray, to_host
 from amhe_cli.core.errors import SimulationError
 from amhe_cli.engine.gpu.blueprint import Blueprint
 from amhe_cli.engine.gpu.job import Job, NoRoomError, joined
+from amhe_cli.engine.gpu.visible import missing
 from amhe_cli.engine.rollout import Predicted
 
 if TYPE_CHECKING:
@@ -44,8 +44,7 @@ def sharing(devices: list[str]) -> Iterator[str]:
     """The address of a process that has these devices, for processes that are started inside.
 
     Raises:
-        ImportError: A library of the cards is not installed.
-        SimulationError: That process did not begin.
+        SimulationError: That process did not begin, or lacks a library of the cards.
     """
     with tempfile.TemporaryDirectory() as folder:
         manager = _Manager(address := str(Path(folder) / "cards"), ctx=get_context("spawn"))
@@ -54,7 +53,10 @@ def sharing(devices: list[str]) -> Iterator[str]:
         except EOFError:
             raise SimulationError("the process that has the graphics cards did not begin") from None
         with manager:
-            manager.desk().open(devices)
+            try:
+                manager.desk().open(devices)
+            except ImportError as error:
+                raise missing(error) from None
             yield address
 
 
@@ -110,11 +112,6 @@ class SharedCard:
             raise SimulationError("the process that has the graphics cards has ended") from None
 
 
-def spent_at(address: str) -> list[Spent]:
-    """What the cards of another process have done so far."""
-    return _desk_at(address).spent()
-
-
 @cache
 def _desk_at(address: str) -> _Desk:
     """What stands for the desk of another process; it connects anew in each thread and forked process."""
@@ -148,20 +145,6 @@ class _Request:
         return (self.name, self.about.picks) if isinstance(self.about, Job) else self
 
 
-@dataclass(frozen=True, slots=True)
-class Spent:
-    """One run of a card: when it began and how long it took [s], for how many jobs, rollouts and steps.
-
-    A run without jobs has opened a model.
-    """
-
-    at: float
-    seconds: float
-    jobs: int
-    rollouts: int
-    steps: int
-
-
 class _Desk:
     """Where questions wait for a card that is free."""
 
@@ -169,11 +152,6 @@ class _Desk:
         self._waiting: list[_Request] = []
         self._change = Condition()
         self._packed: dict[str, bytes] = {}
-        self._begun, self._spent = time.perf_counter(), list[Spent]()
-
-    def spent(self) -> list[Spent]:
-        """What the cards have done so far."""
-        return list(self._spent)
 
     def open(self, devices: Sequence[str]) -> None:
         """Begin to answer with these cards."""
@@ -207,20 +185,9 @@ class _Desk:
                     cards[name] = card  # the last used is the last to go
                     if len(cards) > KEPT:
                         del cards[next(iter(cards))]
-                    about, began = left[0].about, time.perf_counter()
-                    if isinstance(about, str) and about in cards:
+                    if isinstance(about := left[0].about, str) and about in cards:
                         card.follow(cards[about])
                     _answer(left, card)
-                    jobs = [request.about for request in left if isinstance(request.about, Job)]
-                    self._spent.append(
-                        Spent(
-                            at=began - self._begun,
-                            seconds=time.perf_counter() - began,
-                            jobs=len(jobs),
-                            rollouts=sum(len(job.clip) for job in jobs),
-                            steps=int(sum(job.lengths[job.clip].sum() for job in jobs)),
-                        )
-                    )
                 except NoRoomError as error:  # worlds of other models go, and each job gets a run of its own
                     for card in cards.values():
                         card.clear()
@@ -251,7 +218,7 @@ class _Manager(BaseManager):
     desk: Callable[[], _Desk]
 
 
-_Manager.register("desk", _desk, exposed=("open", "ask", "spent"))
+_Manager.register("desk", _desk, exposed=("open", "ask"))
 
 
 def _answer(some: Sequence[_Request], card: Card) -> None:
