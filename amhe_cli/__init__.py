@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from amhe_cli.core.errors import AmheError
     from amhe_cli.core.limits import limit
     from amhe_cli.core.log import Log
-    from amhe_cli.engine.open import shared_cards
     from amhe_cli.estimation.online.horizon import Estimate
     from amhe_cli.logs.convert import convert
     from amhe_cli.logs.messages.writer import LogWriter
@@ -51,7 +50,6 @@ _HOMES = {
     "read_log": "amhe_cli.logs.read",
     "repair": "amhe_cli.api.repair",
     "run": "amhe_cli.api.runs",
-    "shared_cards": "amhe_cli.engine.open",
     "show": "amhe_cli.api.runs",
 }
 
@@ -76,7 +74,6 @@ __all__ = [
     "read_log",
     "repair",
     "run",
-    "shared_cards",
     "show",
 ]
 

@@ -38,7 +38,6 @@ import amhe_cli as amhe
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.core.statistics import Z90
-from amhe_cli.engine.open import KINDS as KINDS_OF_ENGINE
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.identification import IdentifyOptions, identify
 from amhe_cli.estimation.offline.clips import whole
@@ -185,7 +184,7 @@ def bound_of(case: Case) -> FloatArray:
 # -- the two searches --------------------------------------------------------------------------------------
 
 
-def with_amhe(case: Case, seed: int, engine: str = "cpu") -> tuple[Any, Path, list[str]]:
+def with_amhe(case: Case, seed: int) -> tuple[Any, Path, list[str]]:
     """Identify; the result, the estimates on its way, and its warnings."""
     times, visited, warnings = [], [], []
 
@@ -202,7 +201,7 @@ def with_amhe(case: Case, seed: int, engine: str = "cpu") -> tuple[Any, Path, li
         visited.append(case.system.space.z_of(np.array(iteration.theta)))
 
     try:
-        options = IdentifyOptions(seed=seed, engine=engine)
+        options = IdentifyOptions(seed=seed)
         found = identify(case.system, [case.fitted], [case.held_out], options, note)
     finally:
         logger.removeHandler(handler)
@@ -241,11 +240,11 @@ def on_held_out(case: Case, path: Path) -> list[float]:
     return [float(cost) for cost in open_loop(case.system, case.held_out).costs(np.stack(path.z))]
 
 
-def trial(seconds: float, noise: float, step: float, seed: int, *, engine: str = "cpu") -> dict[str, Any]:
+def trial(seconds: float, noise: float, step: float, seed: int) -> dict[str, Any]:
     """Our search on the log of one seed; errors in z."""
     case = case_of(seed, seconds, noise, step)
     space, truth = case.system.space, case.system.space.z_of(case.theta)
-    found, path, warnings = with_amhe(case, seed, engine)
+    found, path, warnings = with_amhe(case, seed)
     return {
         "error": (space.z_of(found.belief.estimate) - truth).tolist(),
         "bound": bound_of(case).tolist(),
@@ -370,7 +369,6 @@ def main() -> None:
     parser.add_argument("--sysid", action="store_true", help="mujoco.sysid on the same logs")
     parser.add_argument("--budget", type=float, default=600.0, help="CPU seconds of each search of sysid")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--engine", choices=KINDS_OF_ENGINE, default="cpu", help="of our search")
     parser.add_argument("--quick", action="store_true", help="one seed")
     given = parser.parse_args()
     noise, seeds = (0.0 if given.noise_free else NOISE), (range(1) if given.quick else given.seeds)
@@ -382,7 +380,7 @@ def main() -> None:
     ours = f"{name}-any-step" if given.any_step else name
     one = functools.partial(trial, given.seconds, noise, float(given.any_step))
     began = time.perf_counter()
-    results = over_seeds(ours, one, seeds, given.jobs, given.engine)
+    results = over_seeds(ours, one, seeds, given.jobs)
     print(f"{len(seeds)} problems on {given.jobs} processes: {time.perf_counter() - began:.1f} s")
     names = system_of().space.names
     low, high = COVERAGE

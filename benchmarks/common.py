@@ -26,7 +26,6 @@ from amhe_cli.core import resample, rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Log
 from amhe_cli.core.signals import Series
-from amhe_cli.engine.open import shared_cards
 from amhe_cli.matching.starts import tangent_of
 from amhe_cli.system.description.data import Channel
 from amhe_cli.system.system import System
@@ -215,7 +214,6 @@ def over_seeds(
     one: Callable[[int], dict[str, Any]],
     seeds: Iterable[int],
     processes: int,
-    engine: str = "cpu",
 ) -> list[dict[str, Any]]:
     """Results of `one(seed)`, from disk where an earlier run of the same code left them.
 
@@ -224,17 +222,15 @@ def over_seeds(
         one: Module-level function of a seed; its result must go into JSON.
         seeds: Which.
         processes: Worker processes, each of one thread.
-        engine: Kind of engine, which `one` takes by this name if not 'cpu'; all processes share a card.
     """
     wanted = list(seeds)
-    path = RESULTS / f"{name}{'' if engine == 'cpu' else f'-{engine}'}-{fingerprint()}.jsonl"
+    path = RESULTS / f"{name}-{fingerprint()}.jsonl"
     path.parent.mkdir(parents=True, exist_ok=True)
     done = {}
     if path.exists():
         done = {r["seed"]: r for r in map(json.loads, path.read_text().splitlines())}
     left = [seed for seed in wanted if seed not in done]
-    with shared_cards(engine) as kind, path.open("a") as file, multiprocessing.Pool(processes) as pool:
-        one = one if engine == "cpu" else functools.partial(one, engine=kind)
+    with path.open("a") as file, multiprocessing.Pool(processes) as pool:
         for result in pool.imap_unordered(_Seeded(one), left):
             done[result["seed"]] = result
             file.write(json.dumps(result) + "\n")

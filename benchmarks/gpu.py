@@ -2,7 +2,6 @@
 
     python benchmarks/gpu.py [--rollouts 1024,4096,8192,32768] [--problems go1_push,arm] [--device cuda:0]
     python benchmarks/gpu.py --fits gpu,auto [--problems arm,tosses,feet]   # whole commands, beside the cpu's
-    python benchmarks/gpu.py --many 32 --fits gpu --problems go1_push       # searches side by side
 
 "bare" replays the captured step of mujoco-warp on the same worlds under the same inputs, with a clock,
 and nothing else; "alone" is that step and nothing else, of which no world waits for another. "Busy" is the
@@ -16,9 +15,8 @@ import argparse
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from itertools import product
 from multiprocessing import get_context
 
 import mujoco
@@ -31,7 +29,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Log
 from amhe_cli.core.rotations import exp, multiply
 from amhe_cli.engine.gpu.engine import GpuEngine
-from amhe_cli.engine.open import open_engine, shared_cards
+from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.clips import ClipPool, whole
@@ -319,29 +317,6 @@ def fits(name: str, kinds: Sequence[str], cores: int, repetitions: int) -> Itera
         ]  # fmt: skip
 
 
-def many(name: str, kind: str, count: int, jobs: int, limit: float | None) -> Iterator[list[str]]:
-    """Searches of the same log side by side, one thread each: how long they take."""
-    began, done = time.perf_counter(), list[Fit]()
-    with shared_cards(kind) as shared, ProcessPoolExecutor(jobs, get_context("forkserver")) as executor:
-        running = [executor.submit(fit, name, shared, 1, seed) for seed in range(count)]
-        try:
-            for one in as_completed(running, limit):
-                done.append(one.result())
-                at = time.perf_counter() - began
-                print(f"{at:6.1f} s: {len(done)} done; {done[-1].seconds:.1f} s, {done[-1].cpu:.1f} CPU s")
-        except TimeoutError:
-            print(f"{len(done)} done when the time was over")
-        seconds = time.perf_counter() - began
-        for process in executor._processes.values() if len(done) < count else ():
-            process.kill()
-    if done:
-        z, cpu = np.array([one.z for one in done]), float(np.mean([one.cpu for one in done]))
-        yield [
-            name, kind, str(len(done)), str(jobs), f"{seconds:.1f} s", f"{len(done) / seconds * 3600:.0f}",
-            f"{cpu:.1f} s", f"{(np.ptp(z, axis=0) / done[0].sd).max():.2f}",
-        ]  # fmt: skip
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--rollouts", default="1024,4096,8192,32768")
@@ -354,9 +329,6 @@ def main() -> None:
     parser.add_argument(
         "--repetitions", type=int, default=1, help="of each of these, of which the median counts"
     )
-    parser.add_argument("--many", type=int, help="so many identifications side by side, by each of --fits")
-    parser.add_argument("--jobs", type=int, help="processes of these")
-    parser.add_argument("--limit", type=float, help="seconds after which they are ended")
     asked = parser.parse_args()
     if asked.iteration:
         lines = [iteration(name, asked.cores) for name in asked.iteration.split(",")]
@@ -365,29 +337,18 @@ def main() -> None:
     names = asked.problems.split(",")
     if asked.fits:
         lines = []
-        for name, kind in product(names, asked.fits.split(",") if asked.many else ("",)):
-            shown = (
-                many(name, kind, asked.many, asked.jobs or asked.many, asked.limit)
-                if asked.many
-                else fits(name, asked.fits.split(","), asked.cores, asked.repetitions)
-            )
-            for line in shown:
+        for name in names:
+            for line in fits(name, asked.fits.split(","), asked.cores, asked.repetitions):
                 print(*lines.append(line) or line, flush=True)
-        if asked.many:
-            columns = (
-                "system", "engine", "searches", "processes", "time", "an hour", "CPU, each",
-                "seeds apart [sd]",
-            )  # fmt: skip
-        else:
-            columns = (
-                "system",
-                "engine",
-                "time",
-                "of cpu's",
-                "farthest estimate [sd]",
-                "verdicts alike",
-                "others",
-            )
+        columns = (
+            "system",
+            "engine",
+            "time",
+            "of cpu's",
+            "farthest estimate [sd]",
+            "verdicts alike",
+            "others",
+        )
         show("Identifications", columns, lines)
         return
     if not asked.no_agreement:

@@ -34,7 +34,6 @@ from plants import PROBLEMS
 
 import amhe_cli as amhe
 from amhe_cli.core.each_log import named
-from amhe_cli.engine.open import KINDS as ENGINES
 from amhe_cli.estimation.identification import IdentifyOptions, concluded, searched_for
 from amhe_cli.init.drives import geared_joints
 
@@ -59,12 +58,12 @@ def case_of(number: int) -> tuple[str, str, int, Any]:
     return name, kind, seed, made.exact() if kind == EXACT else made
 
 
-def trial(number: int, *, engine: str = "cpu") -> dict[str, Any]:
+def trial(number: int) -> dict[str, Any]:
     """Identify one log, as a user would."""
     logging.disable(logging.WARNING)
     name, kind, seed, made = case_of(number)
     began = time.process_time()
-    result = amhe.identify(made.system, made.logs, seed=seed, threads=1, engine=engine)
+    result = amhe.identify(made.system, made.logs, seed=seed, threads=1)
     return {
         "problem": name,
         "kind": kind,
@@ -155,7 +154,6 @@ def main() -> None:
     parser.add_argument("--seeds", type=seeds_of, default=range(20), metavar="N or A:B")
     parser.add_argument("--problems", default=",".join(NAMES), help="names, with commas between")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
-    parser.add_argument("--engine", choices=ENGINES, default="cpu", help="all processes share a card")
     parser.add_argument("--quick", action="store_true", help="one seed")
     parser.add_argument("--structure", action="store_true", help="twins with and without the term")
     given = parser.parse_args()
@@ -172,7 +170,7 @@ def main() -> None:
         for name in problems
         for kind in KINDS
     ]
-    done = over_seeds("honesty", trial, numbers, given.jobs, given.engine)
+    done = over_seeds("honesty", trial, numbers, given.jobs)
     lines = []
     for kind in KINDS:
         lines += [row(n, kind, [t for t in done if (t["problem"], t["kind"]) == (n, kind)]) for n in problems]

@@ -49,7 +49,6 @@ from coverage import STEP, log_of
 import amhe_cli as amhe
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.settings import AssumedSettings
-from amhe_cli.engine.open import KINDS
 from amhe_cli.system.assumed import Acting, assumed_of, with_assumed
 
 CASES = ("pendulum", "arm", "box")
@@ -142,7 +141,7 @@ def plant_of(system: amhe.System, rng: np.random.Generator) -> tuple[amhe.System
     return plant, np.array(off)
 
 
-def trial(case: str, assumed: bool, seed: int, *, engine: str = "cpu") -> dict[str, Any]:
+def trial(case: str, assumed: bool, seed: int) -> dict[str, Any]:
     """Ranks of one truth in its posterior."""
     logging.disable(logging.WARNING)
     rng = np.random.default_rng([seed, CASES.index(case), assumed])
@@ -155,7 +154,7 @@ def trial(case: str, assumed: bool, seed: int, *, engine: str = "cpu") -> dict[s
     else:
         log = log_of(case, plant, theta, rng)
     try:
-        result = amhe.identify(system, log, seed=seed, threads=1, engine=engine)
+        result = amhe.identify(system, log, seed=seed, threads=1)
     except amhe.AmheError as error:
         return {"failed": str(error)}
     space, belief = system.space, result.belief
@@ -307,7 +306,6 @@ def main() -> None:
     parser.add_argument("--case", nargs="+", choices=CASES, default=list(CASES))
     parser.add_argument("--seeds", type=seeds_of, default=range(200), metavar="N or A:B")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
-    parser.add_argument("--engine", choices=KINDS, default="cpu", help="all processes share a card")
     parser.add_argument("--assumed", action="store_true", help="assumed values are off, and identify says so")
     parser.add_argument("--figure", type=Path, default=RESULTS / "sbc.svg", help="where the figure goes")
     parser.add_argument("--quick", action="store_true", help="5 seeds")
@@ -316,7 +314,7 @@ def main() -> None:
     for case in given.case:
         name = f"sbc-{case}" + ("-assumed" if given.assumed else "")
         one = functools.partial(trial, case, given.assumed)
-        done = over_seeds(name, one, seeds, given.jobs, given.engine)
+        done = over_seeds(name, one, seeds, given.jobs)
         drawn[case] = [r for r in done if "failed" not in r]
         for failed in (r for r in done if "failed" in r):
             print(f"{case}, seed {failed['seed']}: {failed['failed']}")

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import copy
 import logging
-from collections.abc import Iterator
 from concurrent.futures import Executor
-from contextlib import contextmanager
 
 import mujoco
 import numpy as np
@@ -15,8 +13,7 @@ from amhe_cli.core.errors import NOTE, ConfigError, SimulationError
 from amhe_cli.engine.auto import AutoEngine, Opening, in_background
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.gpu.engine import GpuEngine
-from amhe_cli.engine.gpu.shared import sharing
-from amhe_cli.engine.gpu.visible import missing, visible_cards
+from amhe_cli.engine.gpu.visible import visible_cards
 from amhe_cli.engine.inverse import InverseEngine
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.engine.spread import SpreadEngine
@@ -46,8 +43,7 @@ def open_engine(
         threads: Number of CPU threads; results do not depend on it.
         executor: Executor whose workers compute the rollouts, instead of threads of this process; it must
             stay open.
-        kind: One of `KINDS`; 'auto' decides for each call, by its rollouts and their lengths. Or what
-            `shared_cards` gives.
+        kind: One of `KINDS`; 'auto' decides for each call, by its rollouts and their lengths.
         sensors: Whether rollouts record sensors; None: if the system needs them.
         model: Roll out this model of the same layout; None: the system's own.
 
@@ -56,27 +52,26 @@ def open_engine(
         SimulationError: This computer has no card or lacks its libraries, or the model does not suit.
     """
     check_kind(kind)
-    kind, _, address = kind.partition("@")
     senses = system.senses if sensors is None else sensors
     edits = system.edits if model is None else system.edits.upon(model)
     about = (model or system.model, edits, system.input_spec)
     if system.match == "effort":
         return InverseEngine(*about)
     if kind == "gpu":
-        return _gpu_engine(address, executor, *about, senses)
+        return _gpu_engine(executor, *about, senses)
     if executor is not None:
         return SpreadEngine(executor, *about, senses)
     cpu = CpuEngine(*about, threads, senses)
     if kind == "cpu":
         return cpu
     try:
-        cards = [address] if address else visible_cards()
+        cards = visible_cards()
     except SimulationError as error:
         logger.log(NOTE, "the CPU computes all rollouts: %s", str(error).partition(";")[0])
         return cpu
 
     def loaded(count: int) -> Engine:
-        engine = _gpu_engine(address, None, *about, senses)
+        engine = _gpu_engine(None, *about, senses)
         engine.load(count)
         return engine
 
@@ -95,12 +90,11 @@ def check_kind(kind: str) -> None:
     Raises:
         ConfigError: There is no such kind of engine; the text lists all.
     """
-    if kind.partition("@")[0] not in KINDS:
+    if kind not in KINDS:
         raise ConfigError(f"no engine {kind!r}; there is: {', '.join(KINDS)}")
 
 
 def _gpu_engine(
-    address: str,
     executor: Executor | None,
     model: mujoco.MjModel,
     edits: ModelEdits,
@@ -115,27 +109,13 @@ def _gpu_engine(
     """
     if executor is not None:
         raise ConfigError("the engine 'gpu' computes on the cards of this computer; leave `workers` out")
-    cards = [address] if address else visible_cards()
+    cards = visible_cards()
     try:
         return GpuEngine(model, edits, input_spec, sensors, cards)
     except ImportError as error:
-        raise missing(error) from None
-
-
-@contextmanager
-def shared_cards(kind: str) -> Iterator[str]:
-    """A kind of engine for processes that are started inside: one that computes on cards shares these.
-
-    Raises:
-        ConfigError: There is no such kind of engine.
-        SimulationError: There is no card, or a library is missing.
-    """
-    check_kind(kind)
-    if kind == "cpu":
-        yield kind
-        return
-    with sharing(visible_cards()) as address:
-        yield f"{kind}@{address}"
+        raise SimulationError(
+            f"the engine 'gpu' needs {error.name}, which is not installed: pip install 'amhe[gpu]'"
+        ) from None
 
 
 def contact_variants(engine: Engine, model: mujoco.MjModel) -> dict[str, Engine]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from multiprocessing import get_context
@@ -11,10 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
-import numpy as np
 import pytest
 
-from amhe_cli.core.arrays import to_host
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.system.system import System
@@ -58,13 +55,6 @@ def on_warp(system: System, *, model: mujoco.MjModel | None = None, sensors: boo
     edits = system.edits if model is None else system.edits.upon(model)
     senses = system.senses if sensors is None else sensors
     return GpuEngine(model or system.model, edits, system.input_spec, senses, DEVICES)
-
-
-def asked(kind: str, arguments: tuple[Any, ...]) -> np.ndarray:
-    """What a process of its own predicts of the pendulum on shared cards: it does not load mujoco-warp."""
-    values = open_engine(System.load("pendulum"), kind=kind).predict(*arguments).values[0]
-    assert "mujoco_warp" not in sys.modules
-    return to_host(values)
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

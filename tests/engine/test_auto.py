@@ -56,9 +56,7 @@ def cards(monkeypatch: pytest.MonkeyPatch) -> list[Cards]:
     """The engines of the cards that were opened, on a computer that has one."""
     opened: list[Cards] = []
 
-    def opens(
-        address: str, executor: object, model: Any, edits: Any, input_spec: int, sensors: bool
-    ) -> Cards:
+    def opens(executor: object, model: Any, edits: Any, input_spec: int, sensors: bool) -> Cards:
         opened.append(Cards(CpuEngine(model, edits, input_spec, 1, sensors)))
         return opened[-1]
 

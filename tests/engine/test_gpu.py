@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -28,16 +26,16 @@ from amhe_cli.engine.gpu import engine as engine_module
 from amhe_cli.engine.gpu.blueprint import Blueprint, Room
 from amhe_cli.engine.gpu.card import Card
 from amhe_cli.engine.gpu.engine import GpuEngine
-from amhe_cli.engine.gpu.job import joined, queues
+from amhe_cli.engine.gpu.job import queues
 from amhe_cli.engine.gpu.worlds import Worlds, load_together
-from amhe_cli.engine.open import open_engine, shared_cards
+from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Starts, Wanted
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.uncertainty.fit import final_fit
 from amhe_cli.system.system import System
-from tests.engine.conftest import DEVICES, asked
+from tests.engine.conftest import DEVICES
 from tests.engine.test_contract import clips
 
 pytestmark = pytest.mark.slow  # warp compiles its kernels, which takes half a minute the first time
@@ -174,50 +172,6 @@ def test_several_cards_share_a_prediction(monkeypatch: pytest.MonkeyPatch) -> No
     arguments = call(PENDULUM)
     (one,), (three,) = (on(PENDULUM, *n * DEVICES).predict(*arguments).values for n in (1, 3))
     np.testing.assert_array_equal(to_host(three), to_host(one))
-
-
-def reaching(system: System, history: int, seed: int) -> tuple[Any, ...]:
-    """A prediction whose inputs reach back, of as many candidates, clips, steps and samples as seed says."""
-    theta, starts, errors, wanted = call(system, 2 + seed, 1 + seed)
-    inputs = np.random.default_rng(seed).normal(size=(1 + seed, history + 20 + seed, system.model.nu))
-    starts.lengths[0] -= seed
-    rows = np.minimum(wanted[0].rows[:, : 6 - seed], starts.lengths[:, None] - 1)
-    return theta, replace(starts, inputs=inputs, history=history), errors, [replace(wanted[0], rows=rows)]
-
-
-@pytest.mark.parametrize("system", [PENDULUM, CUBE], ids=["pendulum", "cube"])
-def test_jobs_of_several_that_ask_are_one_with_the_numbers_of_each(system: System) -> None:
-    engine = on(system)
-    delayed = [engine.job(*reaching(system, history, seed)) for history, seed in ((2, 0), (0, 1), (5, 3))]
-    jobs = [replace(job, delays=job.delays + 0.3 * i) for i, job in enumerate(delayed)]
-    together, at = engine.cards[0].run(joined(jobs)), 0
-    for job in jobs:
-        alone = engine.cards[0].run(job)
-        rows, samples = slice(at, at + len(job.clip)), job.wanted[0].rows.shape[1]
-        at = rows.stop
-        # the same to the bit here; sums on a card have no fixed order
-        np.testing.assert_allclose(
-            to_host(together.values[0])[rows, :samples], to_host(alone.values[0]), rtol=0.0, atol=1e-6
-        )
-        assert together.completed[rows].all()
-
-
-def test_processes_share_the_cards_of_another_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    arguments = call(PENDULUM)
-    alone = on(PENDULUM).predict(*arguments)
-    monkeypatch.setattr("amhe_cli.engine.open.visible_cards", lambda: DEVICES)
-    with shared_cards("gpu") as kind, ProcessPoolExecutor(3, get_context("spawn")) as executor:
-        for found in executor.map(partial(asked, kind), 3 * [arguments]):
-            np.testing.assert_array_equal(found, to_host(alone.values[0]))
-        spec = mujoco.MjSpec.from_file(str(PENDULUM.folder / "scene.xml"))  # type: ignore[operator]
-        solver(spec)
-        with pytest.raises(SimulationError, match="cannot simulate this model: .*PGS"):
-            open_engine(PENDULUM, kind=kind, model=spec.compile())
-        engine = open_engine(PENDULUM, kind=kind)
-        variant = engine.upon(PENDULUM.model).predict(*arguments)
-        np.testing.assert_array_equal(to_host(variant.values[0]), to_host(alone.values[0]))
-    with pytest.raises(SimulationError, match="the process that has the graphics cards has ended"):
-        engine.predict(*arguments)
 
 
 def test_buffers_that_are_too_small_are_made_larger(

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import pickle
 from dataclasses import dataclass
-from functools import cached_property
-from hashlib import sha256
 
 import mujoco
 import numpy as np
@@ -62,16 +59,6 @@ class Blueprint:
         written = [name for name in self.set_by_jobs if name != "numeric_data"]  # no field of the card's
         derived, driven = DERIVED * self.derives, (BIAS,) * (self.servos is not None)
         return tuple(dict.fromkeys((*written, *derived, *driven)))
-
-    @cached_property
-    def packed(self) -> bytes:
-        """All of it, to send; the same bytes for the same blueprint."""
-        return pickle.dumps(self)
-
-    @property
-    def name(self) -> str:
-        """The same for the same blueprint alone."""
-        return sha256(self.packed).hexdigest()
 
     def starts_at_rest(self) -> bool:
         """Whether all activations start at zero, as they do on a card."""

@@ -68,15 +68,13 @@ class Card:
     Args:
         blueprint: What all worlds share.
         device: Warp's name of the device.
-        coarse: Sizes of worlds are powers of two, for jobs of any size: a graph of a new size takes long.
 
     Raises:
         SimulationError: mujoco-warp cannot simulate the model.
     """
 
-    def __init__(self, blueprint: Blueprint, device: str, *, coarse: bool = False) -> None:
+    def __init__(self, blueprint: Blueprint, device: str) -> None:
         self.blueprint, self._device = blueprint, device
-        self._parts, self._most = (1, 8) if coarse else (6, KEPT)
         with refusals():
             _check_supported(blueprint, device)
         #: Buffers of a world; they grow.
@@ -154,7 +152,7 @@ class Card:
         until their steps have taken longer by what new ones would take: at most twice the least time.
         """
         least = FEWEST if self.memory else 16
-        grain = max(least, 2 ** (max(count - 1, 1).bit_length() - self._parts))
+        grain = max(least, 2 ** (max(count - 1, 1).bit_length() - 6))
         size = -(-count // grain) * grain
         larger, cost = min((kept for kept in self._kept if kept > size), default=size), self._cost
         self._longer[size] += steps * (cost.on_card(larger) - cost.on_card(size))
@@ -162,7 +160,7 @@ class Card:
             size = larger
         worlds = self._kept.pop(size, None)
         if worlds is None:
-            while len(self._kept) >= self._most:
+            while len(self._kept) >= KEPT:
                 del self._kept[next(iter(self._kept))]
             worlds = Worlds(self.blueprint, size, self.room, self._device, compilers=self._compilers)
             self._compilers = 0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -14,7 +13,6 @@ from amhe_cli.core.arrays import AnyArray, FloatArray, IntArray, to_host
 from amhe_cli.engine.auto import step_cost
 from amhe_cli.engine.gpu.blueprint import Blueprint
 from amhe_cli.engine.gpu.job import Job, NoRoomError, queues
-from amhe_cli.engine.gpu.shared import SharedCard
 from amhe_cli.engine.rollout import (
     Call,
     Predicted,
@@ -42,8 +40,7 @@ class GpuEngine:
         edits: How parameters are written into it.
         input_spec: mjtState bits of the input vector.
         sensors: Whether rollouts record sensors.
-        devices: Warp's names of the devices, of which 'cpu' is for tests, or the address of a process that
-            has them (`shared.sharing`).
+        devices: Warp's names of the devices, of which 'cpu' is for tests.
 
     Raises:
         SimulationError: mujoco-warp cannot simulate the model.
@@ -59,9 +56,11 @@ class GpuEngine:
         sensors: bool,
         devices: Sequence[str],
     ) -> None:
+        from amhe_cli.engine.gpu.card import Card  # which takes seconds to load
+
         self._model, self._edits, self._devices = model, edits, tuple(devices)
         self._blueprint = Blueprint.of(model, edits, input_spec, sensors)
-        self.cards = [_card(self._blueprint, device) for device in self._devices]
+        self.cards = [Card(self._blueprint, device) for device in self._devices]
 
     @property
     def device_bytes(self) -> int:
@@ -182,15 +181,6 @@ class GpuEngine:
         arrays = {name: np.repeat(getattr(self._model, name)[None], len(theta), axis=0) for name in names}
         self._edits.write(arrays, theta)
         return Job(fields=arrays, inputs=inputs.astype(np.float32), **about)
-
-
-def _card(blueprint: Blueprint, device: str) -> Any:
-    """A card of this process, or those of another one that its address leads to."""
-    if Path(device).is_absolute():
-        return SharedCard(blueprint, device)
-    from amhe_cli.engine.gpu.card import Card  # which takes seconds to load
-
-    return Card(blueprint, device)
 
 
 def _in_order(results: Predicted, count: int) -> Predicted:

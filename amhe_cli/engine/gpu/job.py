@@ -1,12 +1,10 @@
-"""What a card is asked: rollouts of many candidates on many clips, those of several askers side by side."""
+"""What a card is asked: rollouts of many candidates on many clips."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from dataclasses import fields as dataclass_fields
+from dataclasses import dataclass
 from heapq import heapreplace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,56 +58,6 @@ class Job:
         """Steps after which each rollout of the queues is over, shape (w, l)."""
         steps = np.where(self.queue < 0, 0, (self.lengths + self.lag)[self.clip[self.queue]])
         return steps.cumsum(axis=1)
-
-    @property
-    def picks(self) -> tuple[tuple[str, tuple[int, ...]], ...]:
-        """From where it picks numbers: jobs that pick from the same can be one."""
-        return tuple((wanted.source, wanted.columns) for wanted in self.wanted)
-
-
-def joined(jobs: Sequence[Job]) -> Job:
-    """Jobs upon one model, that pick from the same arrays, as one; its rollouts are theirs in their order."""
-    if len(jobs) == 1:
-        return jobs[0]
-    history, steps = max(job.history for job in jobs), max(int(job.lengths.max()) for job in jobs)
-    longest, width = max(job.queue.shape[1] for job in jobs), max(job.delays.shape[1] for job in jobs)
-    parts: dict[str, list[Any]] = {each.name: [] for each in dataclass_fields(Job)}
-    candidates = clips = rollouts = 0
-    for job in jobs:
-        before, own = history - job.history, job.inputs[:, : job.history + int(job.lengths.max())]
-        # beyond its ends a history holds its first and last input
-        ends = (0, 0), (before, history + steps - own.shape[1] - before), (0, 0)
-        queue = np.full((len(job.queue), longest), -1)
-        queue[:, : job.queue.shape[1]] = np.where(job.queue < 0, -1, rollouts + job.queue)
-        moved = {
-            "delays": np.broadcast_to(job.delays, (len(job.delays), width)),
-            "inputs": np.pad(own, ends, mode="edge"),
-            "candidate": candidates + job.candidate,
-            "clip": clips + job.clip,
-            "queue": queue,
-        }
-        for name, values in parts.items():
-            values.append(moved.get(name, getattr(job, name)))
-        candidates, clips = candidates + len(job.delays), clips + len(job.lengths)
-        rollouts += len(job.clip)
-    fields, wanted = parts.pop("fields"), zip(*parts.pop("wanted"), strict=True)
-    del parts["history"]
-    return Job(
-        fields={name: np.concatenate([each[name] for each in fields]) for name in fields[0]},
-        history=history,
-        wanted=[_beside(each, steps) for each in wanted],
-        **{name: np.concatenate(values) for name, values in parts.items()},
-    )
-
-
-def _beside(wanted: Sequence[Wanted], steps: int) -> Wanted:
-    """What is wanted of some clips and of others; no row is wanted past the last step."""
-    rows = np.full((sum(len(one.rows) for one in wanted), max(one.rows.shape[1] for one in wanted)), steps)
-    at = 0
-    for one in wanted:
-        rows[at : at + len(one.rows), : one.rows.shape[1]] = one.rows
-        at += len(one.rows)
-    return replace(wanted[0], rows=rows)
 
 
 def queues(lengths: IntArray, count: int, cost: StepCost) -> IntArray:

@@ -17,12 +17,6 @@ def visible_cards() -> list[str]:
     return [f"cuda:{i}" for i in range(count)]
 
 
-def missing(error: ImportError) -> SimulationError:
-    """The refusal of an engine without the libraries of the cards."""
-    name = error.name
-    return SimulationError(f"the engine 'gpu' needs {name}, which is not installed: pip install 'amhe[gpu]'")
-
-
 def _counted() -> int:
     """How many cards the driver of NVIDIA shows; 0 where there is no driver."""
     for name in ("nvcuda.dll",) if sys.platform == "win32" else ("libcuda.so.1", "libcuda.so"):
