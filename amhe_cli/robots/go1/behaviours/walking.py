@@ -127,7 +127,7 @@ class Steering:
 
     path_gain: float = 1.5
     path_limit: float = 0.5
-    ahead: float = 0.15
+    ahead: float = 0.08
     offset_gain: float = 1.0
     offset_limit: float = 0.12
     yaw_limit: float = 0.2
