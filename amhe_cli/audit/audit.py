@@ -32,10 +32,7 @@ _ROUNDS = 8
 #: Clips of the searches where motions are matched, and their length [s]: many short ones, along which even
 #: wrong numbers do not lead far away, show what is far off, and some of the usual length by how much.
 _CLIPS = ((16, 0.3), (12, None))
-#: Most iterations of a search of motions that begins at the file, and of one that begins where another ended:
-#: what is judged is the minimum of the linearised cost, which need not be reached.
-_ITERATIONS = (16, 6)
-#: The clips where what is slow stands still in the short ones.
+#: The same where what is slow stands still in the short ones.
 _SLOW = 5
 #: Where a data sheet may be wrong by more than slopes show, in units of `Claim.wide`, and the share by which
 #: the cost must fall there.
@@ -142,9 +139,8 @@ def audit(
     ) -> Search:
         nonlocal logs
         guesses = [claim.guess(claim.group not in wide) for claim in claims]
-        few = {"identify": {"iterations": _ITERATIONS[near is not None]}} if clips else {}
-        few |= {"clips": {"length": [length, length]}} if length else {}
-        system = replace(proposal, parameters=[*guesses, *doubts]).system(name, merged(settings, few))
+        short = {"clips": {"length": [length, length]}} if length else {}
+        system = replace(proposal, parameters=[*guesses, *doubts]).system(name, merged(settings, short))
         logs = logs or tuple(read(system))
         return searched_for(system, logs, None, options, progress, quick=True, near=near, clips=clips)
 
@@ -269,22 +265,16 @@ def _lines(
     doubted: frozenset[Group],
     logs: Sequence[Log],
 ) -> list[Line]:
-    """The table, of a search that did not believe some data sheets.
-
-    Where no value explains the logs, what the model misses may pull all their clips alike: they say what one
-    of them would.
-    """
+    """The table, of a search that did not believe some data sheets."""
     at = system.space.phi_of(found.belief.estimate)
     evidence = _evidence(system.space, at, found.unbounded, found.information, found.belief.covariance)
-    if found.unexplained:
-        evidence = evidence.with_priors(evidence.prior[1], 1.0 / max(found.clips.fitted, 1))
     rows, sheets = _rows(system, claims), _sheets(evidence, system, claims)
     log, sheet, factor = system.space.log[rows], sheets.right[rows], np.array([c.factor for c in claims])
     logged, chance = judged(evidence, sheets, wrong_sheets(evidence, sheets, doubted), rows, log)
-    wrong = contradicted(chance)
+    wrong = contradicted(chance) & (not found.unexplained)
     value = factor * theta_of(log, logged.mean)
     sd = logged.sd * np.where(log, value, factor)
-    verdicts = verdicts_of(wrong, logged.sd <= sheet)
+    verdicts = verdicts_of(wrong, (logged.sd <= sheet) & (not found.unexplained))
     weight = _weights(system, found, claims, wrong, logs)
     lines = [
         Line(
@@ -331,6 +321,8 @@ def _weights(
 
 def _cure(system: System, found: Identification, evidence: Findings, claim: Claim) -> str:
     """What would tell a number."""
+    if found.unexplained:
+        return "no value explains these logs, and none can be judged by them"
     row = system.space.names.index(claim.parameter)
     idle = any(reason.kind == "idle" for reason in found.parameters[row].reasons)
     if claim.number.kind == "force_limit" and idle:

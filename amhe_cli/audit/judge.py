@@ -81,13 +81,12 @@ class Findings:
         """Covariance that noise and priors leave, shape (d, d)."""
         return sealed(np.linalg.inv(self.information + np.diag(self.prior[1] ** -2.0)))
 
-    def with_priors(self, sd: FloatArray, share: float = 1.0) -> Findings:
-        """The same logs, or a share of them, under priors of other sd (d,), as far as they are linear."""
-        prior, information = np.array([self.prior[0], sd]), share * self.information
-        known = np.linalg.inv(information + np.diag(sd**-2.0))
-        mean = known @ (share * self.score() + sd**-2.0 * self.prior[0])
+    def with_priors(self, sd: FloatArray) -> Findings:
+        """The same logs under priors of other sd (d,), as far as they are linear."""
+        known = np.linalg.inv(self.information + np.diag(sd**-2.0))
+        mean = known @ (self.score() + sd**-2.0 * self.prior[0])
         covariance = known + self.covariance - self.known()
-        return Findings(mean, prior, information, covariance, self.at)
+        return Findings(mean, np.array([self.prior[0], sd]), self.information, covariance, self.at)
 
     def score(self) -> FloatArray:
         """Information times what the logs alone would say, shape (d,)."""

@@ -10,7 +10,7 @@ import click
 from amhe_cli.cli import kinds, options
 from amhe_cli.cli.command import Given, argument, command, option
 from amhe_cli.cli.session import Session
-from amhe_cli.core.errors import ConfigError, printable
+from amhe_cli.core.errors import ConfigError, EstimationError, printable
 
 if TYPE_CHECKING:
     from amhe_cli.audit.audit import Audit
@@ -131,15 +131,21 @@ def _logs(session: Session, model: Path, given: Given) -> None:
     first = proposal(given.match != "motion")
     if given.match not in (None, first.match):
         raise ConfigError(f"--match {given.match}: these logs can only be compared by {first.match}")
-    found = audited(first)
-    if found.found.unexplained and first.match == "effort" and not (given.match or inputs.system):
-        other = proposal(False)
-        if other.match == "motion":
-            logging.getLogger(__name__).warning(
-                "no value explains what the log has as torques: the motion under the commands is compared "
-                "instead; --match effort keeps to the torques"
-            )
-            found = audited(other)
+    # a hobby servo's load is no torque: where the log has commands as well, they can be compared
+    other = first if given.match or inputs.system or first.match != "effort" else proposal(False)
+    try:
+        found = audited(first)
+    except EstimationError:
+        if other.match == first.match:
+            raise
+        found = None
+    if other.match != first.match and (found is None or found.found.unexplained):
+        logging.getLogger(__name__).warning(
+            "no value explains what the log has as torques: the motion under the commands is compared "
+            "instead; --match effort keeps to the torques"
+        )
+        found = audited(other)
+    assert found is not None
     record = session.record(out=str(folder), model=str(model))
     write_audit(
         folder, model, logs, found, given.write, record, session.command_line, given.seed, given.force

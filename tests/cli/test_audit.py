@@ -145,3 +145,31 @@ def test_other_arguments_are_refused(tmp_path: Path, capsys) -> None:
     for what, model_and_log in (("effort", ("example:arm",) * 2), ("motion", (str(model), str(log)))):
         assert run(["audit", *model_and_log, "--match", what]) == 2
         assert f"--match {what}: these logs can only be compared by " in capsys.readouterr().err
+
+
+SERVO = """<mujoco><option timestep='0.002'/><worldbody><body name='arm'>
+<joint name='elbow' axis='0 1 0' damping='0.2' armature='0.01'/>
+<inertial pos='0.2 0 0' mass='0.5' diaginertia='0.001 0.004 0.004'/></body></worldbody>
+<actuator><position name='elbow' joint='elbow' kp='12' kv='0.1'/></actuator></mujoco>"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("steps", [False, True], ids=["waves", "steps"])
+def test_the_load_that_a_servo_reports_is_no_torque(steps: bool, tmp_path: Path, capsys) -> None:
+    """Where no value explains what a log has as torques, the motion under its commands is compared."""
+    rng, model, times = np.random.default_rng(0), mujoco.MjModel.from_xml_string(SERVO), np.arange(0, 5, 0.01)
+    data, targets = mujoco.MjData(model), 0.5 * np.sin(3.0 * times) + 0.3 * np.sin(9.0 * times)
+    load, rows = 3.0 * np.sin(3.7 * times), []
+    for time, target, said in zip(times, targets, np.sign(load) if steps else load, strict=True):
+        rows.append((time, data.qpos[0] + 3e-4 * rng.standard_normal(), said, target))
+        data.ctrl[0] = target
+        mujoco.mj_step(model, data, 5)
+    file, log, out = tmp_path / "arm.xml", tmp_path / "log.csv", tmp_path / "out"
+    file.write_text(SERVO)
+    head = "time,position_elbow,effort_elbow,command_position_elbow"
+    np.savetxt(log, np.array(rows), fmt="%.6g", delimiter=",", header=head, comments="")
+    assert run(["audit", str(file), str(log), "-o", str(out), "-q", "--threads", "1"]) == 0
+    assert "the motion under the commands is compared instead" in capsys.readouterr().err
+    record = json.loads((out / "audit.json").read_text())
+    assert record["match"] == "motion"
+    assert "contradicted" not in {line["verdict"] for line in record["numbers"]}
