@@ -18,7 +18,7 @@ import socket
 import struct
 import time
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -51,31 +51,6 @@ class Sighting:
     age: float = 0.0
 
 
-class PoseSource(Protocol):
-    """A source of poses. It lives in a process of its own: it may block, and may die."""
-
-    @property
-    def about(self) -> str:
-        """Whom it listens to, in words."""
-        ...
-
-    def connect(self) -> None:
-        """Reach the source.
-
-        Raises:
-            PoseError: It cannot be reached; the text says what to check.
-        """
-        ...
-
-    def wait(self, seconds: float) -> list[Sighting]:
-        """What was seen since the last call; waits for something, but no longer than this [s]."""
-        ...
-
-    def close(self) -> None:
-        """Disconnect."""
-        ...
-
-
 def sighting(
     body: str, position: object, orientation: object, stamp: float | None = None, age: float = 0.0
 ) -> Sighting | None:
@@ -102,7 +77,7 @@ _STEP = 0.002
 
 
 class NatNet:
-    """See `PoseSource`.
+    """OptiTrack's Motive, by its own protocol.
 
     Args:
         host: Host of Motive.
@@ -119,11 +94,11 @@ class NatNet:
 
     @property
     def about(self) -> str:
-        """See `PoseSource`."""
+        """Whom it listens to, in words."""
         return f"natnet from {self._host}, ports {self._port} and {self._data_port}; NatNet is not signed"
 
     def connect(self) -> None:
-        """See `PoseSource`."""
+        """Reach the source; a PoseError says what to check where that fails."""
         try:
             from natnet import NatNetClient
         except ImportError:
@@ -147,7 +122,7 @@ class NatNet:
         self._client.request_modeldef()
 
     def wait(self, seconds: float) -> list[Sighting]:
-        """See `PoseSource`."""
+        """What was seen since the last call; waits for something, but no longer than this [s]."""
         end = time.monotonic() + seconds
         while not self._seen and time.monotonic() < end:
             # a damaged datagram is left out
@@ -158,7 +133,7 @@ class NatNet:
         return seen
 
     def close(self) -> None:
-        """See `PoseSource`."""
+        """Disconnect."""
         if self._client is not None:
             self._client.shutdown()
 
@@ -261,7 +236,7 @@ def read_pose(message: bytes) -> Sighting | None:
 
 
 class UdpPoses:
-    """See `PoseSource`.
+    """Our own datagrams: one JSON object of one body each.
 
     Args:
         host: Address of this computer to listen on.
@@ -276,12 +251,12 @@ class UdpPoses:
 
     @property
     def about(self) -> str:
-        """See `PoseSource`."""
+        """Whom it listens to, in words."""
         who = self._named or "the first that sends"
         return f"udp on {self._where[0]}:{self._where[1]} from {who}, not signed"
 
     def connect(self) -> None:
-        """See `PoseSource`."""
+        """Reach the source; a PoseError says what to check where that fails."""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind(self._where)
@@ -296,7 +271,7 @@ class UdpPoses:
         self._socket.setblocking(False)
 
     def wait(self, seconds: float) -> list[Sighting]:
-        """See `PoseSource`."""
+        """What was seen since the last call; waits for something, but no longer than this [s]."""
         assert self._socket is not None
         select.select([self._socket], [], [], seconds)
         seen = []
@@ -313,7 +288,7 @@ class UdpPoses:
                 self._peer = self._peer or sender
 
     def close(self) -> None:
-        """See `PoseSource`."""
+        """Disconnect."""
         if self._socket is not None:
             self._socket.close()
 
@@ -323,7 +298,7 @@ KINDS = ("vicon", "vrpn", "qualisys", "optitrack", "mock")
 
 
 class MotionCapture:
-    """See `PoseSource`.
+    """Vicon, VRPN, Qualisys and others, by libmotioncapture.
 
     Args:
         kind: One of `KINDS`.
@@ -336,11 +311,11 @@ class MotionCapture:
 
     @property
     def about(self) -> str:
-        """See `PoseSource`."""
+        """Whom it listens to, in words."""
         return f"{self._kind} at {self._host}, by libmotioncapture, which checks no sender"
 
     def connect(self) -> None:
-        """See `PoseSource`."""
+        """Reach the source; a PoseError says what to check where that fails."""
         try:
             import motioncapture  # pyright: ignore[reportMissingImports]
         except ImportError:
@@ -354,7 +329,7 @@ class MotionCapture:
             )
 
     def wait(self, seconds: float) -> list[Sighting]:
-        """See `PoseSource`; waits for the next frame, however long."""
+        """What is in the next frame; waits for it, however long."""
         self._client.waitForNextFrame()
         found = []
         for name, body in dict(self._client.rigidBodies).items():
@@ -365,5 +340,9 @@ class MotionCapture:
         return found
 
     def close(self) -> None:
-        """See `PoseSource`."""
+        """Disconnect."""
         self._client = None
+
+
+#: A source of poses. It lives in a process of its own: it may block, and may die.
+PoseSource: TypeAlias = NatNet | UdpPoses | MotionCapture
