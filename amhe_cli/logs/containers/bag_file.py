@@ -9,6 +9,7 @@ from __future__ import annotations
 import mmap
 import re
 import struct
+from array import array
 from collections.abc import Collection, Iterator
 from itertools import chain
 from pathlib import Path
@@ -28,6 +29,7 @@ _PARSE_ERRORS = (ValueError, KeyError, struct.error)
 
 
 class _Record(NamedTuple):
+    at: int
     op: int
     fields: dict[bytes, bytes]
     start: int
@@ -57,7 +59,7 @@ class BagFile(LogFile):
 
     def batches(self, topics: Collection[str] | None) -> Iterator[Batch]:
         """Yield the messages of the named topics (None: all), chunk by chunk."""
-        chunks: list[_Record] = []
+        chunks = array("Q")  # places: a hostile bag has millions
         loose: list[_Row] = []
         closed, expected, spans = False, 0, list[int]()
         try:
@@ -65,7 +67,7 @@ class BagFile(LogFile):
                 if record.op == _HEADER:
                     closed = any(record.fields[b"index_pos"])
                 elif record.op == _CHUNK:
-                    chunks.append(record)
+                    chunks.append(record.at)
                 elif record.op == _CHUNK_INFO:
                     expected += int(np.frombuffer(self._data[record.start : record.stop], "<u4")[1::2].sum())
                 else:
@@ -73,7 +75,8 @@ class BagFile(LogFile):
         except _PARSE_ERRORS as error:
             self.problems.append(f"the rest of the bag is lost: {error}")
         unfolder = Unfolder(len(self._data))
-        for data, rows in chain((self._chunk(one, unfolder) for one in chunks), [(self._data, loose)]):
+        whole = (next(_records(self._data, at)) for at in chunks)
+        for data, rows in chain((self._chunk(one, unfolder) for one in whole), [(self._data, loose)]):
             spans += [row.time_ns for row in rows[:1] + rows[-1:]]
             yield from self._emit(data, rows, topics)
         if not closed:
@@ -155,7 +158,7 @@ def _records(data: bytes | mmap.mmap, position: int) -> Iterator[_Record]:
         if len(op) != 1 or not _MESSAGE <= op[0] <= _CONNECTION:
             raise ValueError(f"the record at byte {position} is damaged")
         if op[0] != _INDEX:
-            yield _Record(op[0], fields, start, stop)
+            yield _Record(position, op[0], fields, start, stop)
         position = stop
 
 
