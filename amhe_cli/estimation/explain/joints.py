@@ -105,10 +105,7 @@ def _in_time(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
     """A constant force, and what changes slowly."""
     later = maker.time - maker.time.mean()
     constant = says(f"a constant force of # {j.f}")
-
-    def repair(c: FloatArray, sd: FloatArray) -> dict[str, Any]:
-        return _soft_spring(maker, j, float(c[0])) if j.place >= 0 else {}
-
+    repair = partial(_soft_spring, maker, j) if j.place >= 0 else None
     yield maker.on(j, "constant", [np.ones_like(later)], constant, repair=repair)
     yield maker.on(j, "drift", [later], says(f"a force that drifts by # {j.f}/s"))
 
@@ -146,10 +143,11 @@ def _spring(maker: CauseMaker, j: MeasuredDof, c: FloatArray, sd: FloatArray) ->
     }
 
 
-def _soft_spring(maker: CauseMaker, j: MeasuredDof, force: float) -> dict[str, Any]:
+def _soft_spring(maker: CauseMaker, j: MeasuredDof, c: FloatArray, _: FloatArray) -> dict[str, Any]:
     """A constant force: that of a spring so long that motion hardly changes it."""
     if maker.free("jnt_stiffness", j.joint) or maker.free("qpos_spring", j.place):
         return {}
+    force = float(c[0])
     stiffness = maker.now("jnt_stiffness", j.joint) or 0.01 * abs(force) / float(np.ptp(j.q))
     rest = maker.now("qpos_spring", j.place) + force / stiffness
     fixed = {"nominal": stiffness, "prior_sd": 0.0, "targets": [{"joint": j.name, "set": "stiffness"}]}

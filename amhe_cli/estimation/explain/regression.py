@@ -380,12 +380,11 @@ class _Search:
             return bool(more.sum() <= max(little, np.quantile(self._signs @ more, 0.95)))
 
         same = [one for one in sets if alike(one)]
-        simplest = min(same, key=lambda one: (self._numbers(one), losses[one].sum()))
+        simplest = min(
+            same, key=lambda one: (sum(self._candidates[i].numbers for i in one), losses[one].sum())
+        )
         without = {i: self.falls([one for one in simplest if one != i])[i].sum() for i in simplest}
         return sorted(simplest, key=lambda i: -without[i])
-
-    def _numbers(self, some: Sequence[int]) -> int:
-        return sum(self._candidates[i].numbers for i in some)
 
     def _firsts(self) -> list[int]:
         """The best candidates of some families, where any explains more than chance."""
