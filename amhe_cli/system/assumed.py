@@ -26,7 +26,7 @@ from amhe_cli.system.model.files import compiled
 from amhe_cli.system.parameters.calibration import SignalCalibration
 from amhe_cli.system.parameters.edits import CALIBRATION, Cells, Mode, range_cells
 from amhe_cli.system.parameters.gear_friction import number_cells
-from amhe_cli.system.parameters.model_edits import Held, ModelEdits
+from amhe_cli.system.parameters.model_edits import Held
 from amhe_cli.system.system import System
 
 #: Elements of one assumed value that its name lists.
@@ -204,7 +204,9 @@ def assumed_of(
     found += _grouped(model, (*_of_actuators(model, acts), *_of_joints(model, acts)), settings, taken)
     found += _gears(model, system.settings.identify.geared, settings, taken)
     found += _ranges(model, settings.joint_limit, acts.joint)
-    found += _bodies(model, settings, taken, _weighed(edits, felt))
+    written = [cells for parameter, each in edits.by_parameter() if parameter.name in felt for cells in each]
+    weighed = {cells.row for cells in written if cells.field == "body_mass"}  # unknown and felt
+    found += _bodies(model, settings, taken, weighed)
     found += _tilts(model, settings.gravity, taken)
     found += _biases(system, settings.force_bias, largest, taken)
     if edits.prompt:
@@ -343,12 +345,6 @@ def _moving(model: mujoco.MjModel) -> list[int]:
     """Bodies that move and have a mass; not those that amhe added."""
     rows = (row for row in range(model.nbody) if model.body_weldid[row] and _own(model.body(row).name, "?"))
     return [row for row in rows if model.body_mass[row] > 0.0]
-
-
-def _weighed(edits: ModelEdits, felt: Collection[str]) -> set[int]:
-    """Bodies whose mass is unknown and felt."""
-    written = (cells for parameter, each in edits.by_parameter() if parameter.name in felt for cells in each)
-    return {cells.row for cells in written if cells.field == "body_mass"}
 
 
 def _bodies(
