@@ -125,6 +125,30 @@ def test_flipped_bits(
         assert read > 0.75 * flips, "one bit must not cost the whole log"
 
 
+@pytest.mark.parametrize(("mark", "least"), [(b"op=\x04", STEPS), (b"size=", 0.8 * STEPS)])
+def test_a_bag_is_read_on_behind_its_damage(
+    mark: bytes, least: float, originals: dict[str, bytes], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Its index lists the chunks that follow a damaged record, of an index or a chunk."""
+    content = bytearray(originals["bag"])
+    place = content.index(mark) - 4  # the length of a field
+    content[place : place + 4] = b"\xff" * 4
+    log = attempt(tmp_path / "log", bytes(content), caplog)
+    assert log is not None
+    assert not any(wrong_samples(log).values())
+    assert least <= log.steps <= STEPS
+    assert bool(caplog.records) == (log.steps < STEPS)
+
+
+def test_a_bag_that_was_cut_between_two_records_is_said_to_be(
+    originals: dict[str, bytes], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    content = originals["bag"]
+    at = content.index(b"index_pos=") + len(b"index_pos=")
+    assert attempt(tmp_path / "log", content[: int.from_bytes(content[at : at + 8], "little")], caplog)
+    assert "the bag has no index" in caplog.text
+
+
 @pytest.mark.parametrize("wrong", [None, 0, 1, 9, 2**63, 2**64 - 1])
 def test_the_index_behind_a_chunk_is_used_but_not_believed(
     wrong: int | None, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch

@@ -21,11 +21,11 @@ from amhe_cli.logs.containers.raw import Batch, Connection, LogFile, Unfolder, m
 
 MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _HEADER, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7
-_U32 = struct.Struct("<I")
+_U32, _U64 = struct.Struct("<I"), struct.Struct("<Q")
 _TIME = struct.Struct("<II")
 _NS = 10**9
 #: What parsing a damaged record raises.
-_PARSE_ERRORS = (ValueError, KeyError, struct.error)
+_PARSE_ERRORS = (ValueError, KeyError, struct.error, StopIteration)
 
 
 class _Record(NamedTuple):
@@ -61,25 +61,34 @@ class BagFile(LogFile):
         """Yield the messages of the named topics (None: all), chunk by chunk."""
         chunks = array("Q")  # places: a hostile bag has millions
         loose: list[_Row] = []
-        closed, expected, spans = False, 0, list[int]()
-        try:
-            for record in _records(self._data, len(MAGIC)):
-                if record.op == _HEADER:
-                    closed = any(record.fields[b"index_pos"])
-                elif record.op == _CHUNK:
-                    chunks.append(record.at)
-                elif record.op == _CHUNK_INFO:
-                    expected += int(np.frombuffer(self._data[record.start : record.stop], "<u4")[1::2].sum())
+        index, expected, spans, begins = 0, 0, list[int](), [len(MAGIC)]
+        for begin in begins:
+            expected = 0
+            try:
+                for record in _records(self._data, begin):
+                    if record.op == _HEADER:
+                        (index,) = _U64.unpack(record.fields[b"index_pos"])
+                    elif record.op == _CHUNK:
+                        chunks.append(record.at)
+                    elif record.op == _CHUNK_INFO:
+                        expected += int(
+                            np.frombuffer(self._data[record.start : record.stop], "<u4")[1::2].sum()
+                        )
+                        (at,) = _U64.unpack(record.fields[b"chunk_pos"])
+                        if max(chunks[-1:], default=0) < at < index:
+                            chunks.append(at)
+                    else:
+                        self._take(self._data, record, loose)
+            except _PARSE_ERRORS as error:
+                if begin < index < len(self._data):  # it lists the chunks behind the damage
+                    begins.append(index)
                 else:
-                    self._take(self._data, record, loose)
-        except _PARSE_ERRORS as error:
-            self.problems.append(f"the rest of the bag is lost: {error}")
+                    self.problems.append(f"the rest of the bag is lost: {error}")
         unfolder = Unfolder(len(self._data))
-        whole = (next(_records(self._data, at)) for at in chunks)
-        for data, rows in chain((self._chunk(one, unfolder) for one in whole), [(self._data, loose)]):
+        for data, rows in chain((self._chunk(at, unfolder) for at in chunks), [(self._data, loose)]):
             spans += [row.time_ns for row in rows[:1] + rows[-1:]]
             yield from self._emit(data, rows, topics)
-        if not closed:
+        if not 0 < index < len(self._data):
             seconds = (max(spans) - min(spans)) / _NS if spans else 0.0
             self.problems.append(
                 f"recovered {messages(self._read)} up to t = {seconds:.1f} s; the bag has no index "
@@ -88,16 +97,17 @@ class BagFile(LogFile):
         elif self._read < expected:
             self.problems.append(f"{expected - self._read} of {messages(expected)} lost to damage")
 
-    def _chunk(self, record: _Record, unfolder: Unfolder) -> tuple[bytes, list[_Row]]:
-        """The content of a chunk, and the messages in it."""
+    def _chunk(self, at: int, unfolder: Unfolder) -> tuple[bytes, list[_Row]]:
+        """The content of the chunk at a place, and the messages in it."""
         rows: list[_Row] = []
-        if record.start == record.stop:
-            return b"", rows  # still being written when the recorder stopped: its messages follow
         try:
+            record = next(_records(self._data, at))
+            if record.start == record.stop:
+                return b"", rows  # still being written when the recorder stopped: its messages follow
             kind, size = record.fields[b"compression"].decode(), _U32.unpack(record.fields[b"size"])[0]
             data = unfolder.unfold(kind, self._data[record.start : record.stop], size)
         except _PARSE_ERRORS as error:
-            self.problems.append(f"a chunk at byte {record.start} is lost: {error}")
+            self.problems.append(f"the chunk at byte {at} is lost: {error}")
             return b"", rows
         try:
             for inner in _records(data, 0):
@@ -107,24 +117,28 @@ class BagFile(LogFile):
         return data, rows
 
     def _take(self, data: bytes | mmap.mmap, record: _Record, rows: list[_Row]) -> None:
-        """Note a message in `rows`, or declare a connection."""
+        """Note a message in `rows`, or declare a connection; one that is damaged is left out."""
         if record.op not in (_MESSAGE, _CONNECTION):
             return
-        (number,) = _U32.unpack(record.fields[b"conn"])
-        if record.op == _MESSAGE:
-            seconds, nanoseconds = _TIME.unpack(record.fields[b"time"])
-            rows.append(_Row(number, seconds * _NS + nanoseconds, record.start, record.stop - record.start))
-        elif number not in self._by_id:
-            inner = _fields(bytes(data[record.start : record.stop]))
-            self._by_id[number] = Connection(
-                re.sub("/+", "/", record.fields[b"topic"].decode()).rstrip("/"),
-                normal_type(inner[b"type"].decode()),
-                "ros1",
-                inner[b"message_definition"].decode("utf-8", "replace"),
-                "ros1msg",
-                inner[b"md5sum"].decode(),
-            )
-            self.connections.append(self._by_id[number])
+        try:
+            (number,) = _U32.unpack(record.fields[b"conn"])
+            if record.op == _MESSAGE:
+                seconds, ns = _TIME.unpack(record.fields[b"time"])
+                rows.append(_Row(number, seconds * _NS + ns, record.start, record.stop - record.start))
+            elif number not in self._by_id:
+                inner = _fields(bytes(data[record.start : record.stop]))
+                self._by_id[number] = Connection(
+                    re.sub("/+", "/", record.fields[b"topic"].decode()).rstrip("/"),
+                    normal_type(inner[b"type"].decode()),
+                    "ros1",
+                    inner[b"message_definition"].decode("utf-8", "replace"),
+                    "ros1msg",
+                    inner[b"md5sum"].decode(),
+                )
+                self.connections.append(self._by_id[number])
+        except _PARSE_ERRORS:
+            if record.op == _CONNECTION:
+                self.problems.append("the declaration of a topic is damaged")
 
     def _emit(
         self, data: bytes | mmap.mmap, rows: list[_Row], topics: Collection[str] | None
