@@ -27,7 +27,7 @@ copied to the host.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -318,14 +318,12 @@ def linearise(
         # the middle of a pair may not be z either, and its share of the even response is linear
         curves = even - _predicted(gain[:, :d], middles, even)
         lift, bend = _moments(curves, pairs[:, :bent])
-        if averaged:
-            gain = _by_coordinates(without_jitter(slopes, bend - lift**2, half, d), shape, first.shape)
         centre = to_host(residuals.stacked[-1])
         return Linearisation(
             cost=cost,
             residual=centre + averaged * lift,
             centre=centre,
-            gain=gain,
+            gain=slopes if averaged else gain,
             curves=curves * namespace_of(curves).asarray(pairs.T[:bent, :, None]),
             bend=bend - lift**2 if averaged else bend,
             first=first,
@@ -337,11 +335,15 @@ def linearise(
     residuals = sum(observed.mask.shape[1] * observed.width for observed in cost.clips.observed)
     most = int(TURN_SHARE * cost.engine.device_bytes)
     parts = turns(len(first.mean), 8 * len(candidates) * residuals, most)
-    if len(parts) == 1:
-        return of_clips(cost, first)
     pieces = ((clips, of_clips(cost.of(clips), first.of(clips))) for clips in parts)
     # where nothing touches, a step is none the worse for slopes of seven digits
-    return _joined(cost, first, pieces, np.float64 if moves is None else np.float32)
+    kept_as = np.float64 if moves is None else np.float32
+    found = of_clips(cost, first) if len(parts) == 1 else _joined(cost, first, pieces, kept_as)
+    if not averaged:
+        return found
+    slopes, own = found.gain, found.completed  # what all clips know, whether or not they took turns
+    slopes[own] = without_jitter(slopes[own], found.bend[own], half, d)
+    return replace(found, gain=_by_coordinates(slopes, shape, first.shape))
 
 
 def _samples(
@@ -469,7 +471,8 @@ def without_jitter(slopes: FloatArray, jitter: FloatArray, pairs: int, d: int) -
 
     Args:
         slopes: Slopes by the coordinates w of the samples, shape (c, d + nx, R).
-        jitter: Variance of the even response, which is that of the odd one, shape (c, R).
+        jitter: Variance of the even response over the pairs, which is that of the odd one, shape (c, R); by
+            h, as a sample's: its expectation is by h - 1.
         pairs: Number of pairs, h.
         d: Number of parameters.
     """
