@@ -106,9 +106,16 @@ def test_it_sticks_and_slips_where_the_law_says(lift: tuple[Engine, System]) -> 
 def test_quadratic_friction_acts_while_motor_and_load_pull_against_each_other(
     lift: tuple[Engine, System],
 ) -> None:
-    none = {"load_friction_motor": 0.0, "load_friction_external": 0.0, "load_friction_quadratic": 0.01}
-    against = run(*lift, 30.0, **none).qvel[0, -1, 0]
-    together = run(*lift, -30.0, **none).qvel[0, -1, 0]
+    against, together = (
+        run(
+            *lift,
+            force,
+            load_friction_motor=0.0,
+            load_friction_external=0.0,
+            load_friction_quadratic=0.01,
+        ).qvel[0, -1, 0]
+        for force in (30.0, -30.0)
+    )
     time = 200 * STEP
     assert against == pytest.approx((30.0 - MASS * GRAVITY - DRY - 0.01 * 600.0) / MASS * time, rel=1e-3)
     assert together == pytest.approx((-30.0 - MASS * GRAVITY + DRY) / MASS * time, rel=1e-3)
@@ -136,7 +143,8 @@ def test_rollouts_depend_neither_on_company_nor_on_earlier_calls(opened: Open) -
     theta = np.tile(system.space.nominal, (11, 1))
     theta[:, 0] = rng.uniform(0.0, 0.5, 11)
     lengths = rng.integers(5, 60, 11)
-    call = theta, np.zeros((11, 1)), rng.normal(size=(11, 1)), rng.normal(20, 9, (11, 60, 1)), lengths
+    states = theta, np.zeros((11, 1)), rng.normal(size=(11, 1))
+    call: tuple[Any, ...] = *states, rng.normal(20, 9, (11, 60, 1)), lengths
     engine = opened(system)
     whole = engine.rollout(*call)
     for rows in (np.arange(11)[::-1], np.array([4]), np.arange(3)):
