@@ -397,5 +397,5 @@ def _noise(quantity: str, series: Series, held: Series) -> float:
 def _rounding(values: np.ndarray) -> float:
     """Sd of the rounding of samples (n,); 0 if they have no steps, or only those of a steady motion."""
     steps = np.diff(values)
-    steady = (steps[1:] == steps[:-1])[steps[1:] != 0.0]
+    steady = np.isclose(steps[1:], steps[:-1], rtol=1e-6)[steps[1:] != 0.0]
     return float(resolution(values) / np.sqrt(12.0)) if steady.size and steady.mean() < 0.5 else 0.0

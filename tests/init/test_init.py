@@ -19,7 +19,7 @@ from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
 from amhe_cli.init.efforts import largest_inertias
-from amhe_cli.init.folder import _topics, init_system
+from amhe_cli.init.folder import _rounding, _topics, init_system
 from amhe_cli.init.names import is_command, joint_paths, matched, names_the_same
 from amhe_cli.init.parameters import guess_parameters
 from amhe_cli.init.signals import Guess, Topic, fields_example, foreign, notes_on
@@ -128,6 +128,14 @@ def test_a_speed_that_is_held_and_rounded_errs_by_its_steps(tmp_path: Path, spee
     system, _, _ = made(tmp_path, ARM.replace("motor", "position"), [tmp_path / "log.csv"])
     noise = {channel.key: channel.noise for channel in system.channels}
     assert noise["joints.velocity"] == pytest.approx(0.0767 / np.sqrt(12.0), rel=0.02)
+
+
+@pytest.mark.parametrize("step", [1.0, 0.1, np.radians(0.5)])
+def test_the_steps_of_a_steady_motion_are_no_rounding(step: float) -> None:
+    """Nor is one whose differences are equal but for the last bits."""
+    ramp = step * np.arange(500) + np.pi
+    assert _rounding(ramp) == 0.0
+    assert _rounding(step * np.round(ramp / step / 20.0)) == pytest.approx(step / np.sqrt(12.0))
 
 
 def test_servo_gain_is_known_only_so_well(tmp_path: Path, walker_log: Path) -> None:
