@@ -202,6 +202,7 @@ def test_wrong_overrides_are_named_as_settings(written: Write) -> None:
         ({"identify": {"model_error": {"q": 0.1}}}, "setting identify.model_error.q: no parameter 'q'"),
         ({"mhe": {"systematic": {"q": 0.1}}}, "setting mhe.systematic.q: no parameter 'q'"),
         ({"mhe": {"prior_weight": {"q": 1.0}}}, "setting mhe.prior_weight.q: no parameter 'q'"),
+        ({"parameters": 5}, "setting parameters: parameters is 5; a mapping of names would be valid"),
     ],
 )
 def test_settings_that_make_no_sense_are_one_line(written: Write, overrides: dict, message: str) -> None:

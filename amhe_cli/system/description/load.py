@@ -235,12 +235,11 @@ def _placed(overrides: Mapping[str, Any]) -> dict[str, Any]:
 
 def _without(given: dict[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
     """A description without the parameters that an override sets to nothing."""
-    gone = [name for name, value in (overrides.get("parameters") or {}).items() if value is None]
-    return (
-        given | {"parameters": {n: v for n, v in given["parameters"].items() if n not in gone}}
-        if gone
-        else given
-    )
+    own = overrides.get("parameters")
+    if not isinstance(own, Mapping) or None not in own.values():
+        return given
+    left = {name: entry for name, entry in given["parameters"].items() if own.get(name, entry) is not None}
+    return given | {"parameters": left}
 
 
 def _check_names(file: YamlFile, overrides: Mapping[str, Any], schema: type[Settings]) -> None:
