@@ -172,23 +172,28 @@ def _without_suspects(
     A linearisation may err far from its minimum: where the cost rises with the sheets that it calls wrong,
     one of them at a time is tried, and where it still rises, that one is believed.
     """
-    search, refused = searched(wrong, near), frozenset[Group]()
+    search, refused, aside = searched(wrong, near), frozenset[Group](), frozenset[Group]()
     tried = {wrong}
     for _ in range(_ROUNDS):
         evidence, begin = _sketched(search), search
-        likely = next(iter(wrong_sheets(evidence, _sheets(evidence, search.problem.system, claims), wrong)))
-        likely -= refused
+        sets = wrong_sheets(evidence, _sheets(evidence, search.problem.system, claims), wrong)
+        likely = next(iter(sets)) - refused - aside
         if likely <= wrong and (far := _far_off(search, claims, wrong | refused)):
             (more, begin) = far
             likely = wrong | {more}
-        if likely in tried:
+        new = likely - wrong
+        if likely not in tried:
+            tried.add(likely)
+            other = searched(likely, begin)
+            if _cost(other) <= (1.0 + _RISES) * _cost(search):
+                search, wrong, refused, aside = other, likely, frozenset(), frozenset()
+                continue
+        elif len(new) < 2:
             break
-        tried.add(likely)
-        other = searched(likely, begin)
-        if _cost(other) <= (1.0 + _RISES) * _cost(search):
-            search, wrong, refused = other, likely, frozenset()
-        elif new := likely - wrong:
-            refused |= new if len(new) == 1 else {*sorted(new)[1:]}
+        if len(new) > 1:  # the strongest alone, then the others
+            aside |= new - {max(new, key=lambda name: sets[wrong | {name}])}
+        else:
+            refused, aside = refused | new, frozenset()
     return search, wrong
 
 

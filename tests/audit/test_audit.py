@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
 import pytest
 
+from amhe_cli.audit import audit as module
 from amhe_cli.audit.audit import audit
 from amhe_cli.estimation.identification import IdentifyOptions
 from amhe_cli.init.folder import proposed
@@ -40,3 +42,24 @@ def test_a_servo_that_is_thirty_times_too_stiff_in_its_file_is_contradicted(tmp_
     found = audit(proposal, "arm", lambda system: [read_log(log, system)], IdentifyOptions(threads=1))
     (gain,) = [line for line in found.lines if line.parameter == "servo_gain"]
     assert gain.verdict == "contradicted" and abs(gain.log - SOFT) < 4.0 * gain.sd + 0.1 * SOFT
+
+
+@pytest.mark.parametrize("right", ["a", "b", "c"])
+def test_where_the_cost_rises_with_several_sheets_each_of_them_is_tried(
+    monkeypatch: pytest.MonkeyPatch, right: str
+) -> None:
+    """A linearisation calls three sheets wrong, and only one of them explains the logs."""
+
+    def searched(wrong, near) -> SimpleNamespace:
+        return SimpleNamespace(problem=SimpleNamespace(system=None), wrong=frozenset(wrong))
+
+    def sets(evidence, sheets, wrong) -> dict[frozenset[str], float]:
+        more = {wrong | {name}: value for name, value in (("c", 3.0), ("a", 2.0), ("b", 1.0))}
+        return {frozenset("abc"): 6.0, wrong: 0.0, **more}
+
+    costs = {frozenset(): 10.0, frozenset(right): 5.0}
+    for name, stub in (("_sketched", id), ("_sheets", lambda *_: None), ("_far_off", lambda *_: None)):
+        monkeypatch.setattr(module, name, stub)
+    monkeypatch.setattr(module, "wrong_sheets", sets)
+    monkeypatch.setattr(module, "_cost", lambda search: costs.get(search.wrong, 20.0))
+    assert module._without_suspects(searched, [], frozenset(), None)[1] == {right}
