@@ -296,6 +296,9 @@ def test_larger_worlds_serve_until_new_ones_would_have_cost_no_more(monkeypatch:
     one.worlds(3 * FEWEST, 100)
     one.worlds(4 * FEWEST, 100)
     assert made == [3 * FEWEST, 2 * FEWEST, 4 * FEWEST]
+    one.worlds(5 * FEWEST, 100)  # the fourth size: those of 2 go, which were used longest ago
+    one.worlds(2 * FEWEST, 100)
+    assert made[3:] == [5 * FEWEST], "one call has lost a tenth of a second"
 
 
 def test_variants_begin_with_the_buffers_that_proved_large_enough() -> None:

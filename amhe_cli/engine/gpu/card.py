@@ -155,15 +155,15 @@ class Card:
         grain = max(least, 2 ** (max(count - 1, 1).bit_length() - 6))
         size = -(-count // grain) * grain
         larger, cost = min((kept for kept in self._kept if kept > size), default=size), self._cost
-        self._longer[size] += steps * (cost.on_card(larger) - cost.on_card(size))
-        if size not in self._kept and self._longer[size] < NEW_WORLDS:
-            size = larger
+        if size not in self._kept:
+            self._longer[size] += steps * (cost.on_card(larger) - cost.on_card(size))
+            size = larger if self._longer[size] < NEW_WORLDS else size
         worlds = self._kept.pop(size, None)
         if worlds is None:
             while len(self._kept) >= KEPT:
                 del self._kept[next(iter(self._kept))]
             worlds = Worlds(self.blueprint, size, self.room, self._device, compilers=self._compilers)
-            self._compilers = 0
+            self._compilers = self._longer[size] = 0
         self._kept[size] = worlds  # the last used is the last to go
         return worlds
 
