@@ -136,7 +136,7 @@ def _beyond(model: mujoco.MjModel, body: int, link: int) -> bool:
 def largest_inertias(model: mujoco.MjModel) -> FloatArray:
     """The inertia that each dof moves, where it is largest (nv,): an arm that points up turns little.
 
-    No less than the usual one: the drives of a wrist are heavier than what they move.
+    No less than the usual one of its kind [kg m^2 or kg]: drives of a wrist are heavier than what they move.
     """
     data, found = mujoco.MjData(model), model.dof_M0.copy()
     low, high = np.where(model.jnt_limited[:, None], model.jnt_range, [-np.pi, np.pi]).T
@@ -147,7 +147,10 @@ def largest_inertias(model: mujoco.MjModel) -> FloatArray:
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fullM(model, data, matrix)
         found = np.maximum(found, matrix.diagonal())
-    return np.maximum(found, np.median(found))
+    kinds = model.jnt_type[model.dof_jntid]
+    return np.array(
+        [max(own, np.median(found[kinds == kind])) for own, kind in zip(found, kinds, strict=True)]
+    )
 
 
 def effort_parameters(model: mujoco.MjModel, ranges: Mapping[str, float]) -> Iterator[Guess]:
