@@ -740,6 +740,6 @@ def test_armatures_of_an_arm_that_points_up_are_of_the_size_of_what_it_turns_whe
         for on, n in (("", 3), (3 * rail, 6))
     )
     base, shoulder, elbow = largest_inertias(arm)
-    np.testing.assert_allclose(largest_inertias(moved)[3:], [base, shoulder, elbow], rtol=0.1)
+    np.testing.assert_allclose(largest_inertias(moved)[3:], [base, shoulder, elbow], rtol=0.3)  # other poses
     assert arm.dof_M0[0] < 0.002 < 0.2 < base <= shoulder == pytest.approx(arm.dof_M0[1])
     assert elbow == pytest.approx(base), "drives of a wrist are no lighter than the usual one"
