@@ -42,6 +42,7 @@ _TASKS = (
         default="adaptive",
     ),
     options.believed("A belief.yaml in place of the task's own for modes baseline, stale and adaptive."),
+    options.unknowns,
     options.robot,
     options.work,
     options.duration,

@@ -292,8 +292,9 @@ def belief_figure(c: Columns, units: Mapping[str, str]) -> Markup:
             )
         )
         highest = max(float(np.nanmax(one.y)) for one in lines)
-        most = 2.0 * highest if band and np.nanmax(band[1]) > 2.0 * highest else None
-        panels.append(Panel(name, lines, numbers.unit_of(units.get(name, "")), low=0.0, high=most))
+        low = 0.0 if min(float(np.nanmin(one.y)) for one in lines) > 0.0 else None
+        most = 2.0 * highest if low is not None and band and np.nanmax(band[1]) > 2.0 * highest else None
+        panels.append(Panel(name, lines, numbers.unit_of(units.get(name, "")), low=low, high=most))
     return figure(panels)
 
 

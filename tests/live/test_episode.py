@@ -165,10 +165,6 @@ def test_the_true_belief_switches_with_the_plant(monkeypatch: pytest.MonkeyPatch
     assert fixed[-1].parameters["box_mass"] == pytest.approx(6.0)
 
 
-#: What every task says of the box beside its mass and its friction.
-AS_STATED = {"box_inertia_scale": 1.0, "face_overlap": 0.0, "floor_overlap": 0.0}
-
-
 @pytest.mark.parametrize(
     ("task", "mode", "mass", "friction"),
     [
@@ -178,7 +174,7 @@ AS_STATED = {"box_inertia_scale": 1.0, "face_overlap": 0.0, "floor_overlap": 0.0
     ],
 )  # fmt: skip
 def test_a_mode_s_belief(task: str, mode: str, mass: float, friction: float) -> None:
-    belief = AS_STATED | {"box_mass": mass, "floor_friction": friction}
+    belief = {"box_mass": mass, "box_inertia_scale": 1.0, "floor_friction": friction}
     run = opened(task, mode=mode)
     believed = run.episode.belief.at(0.0)
     assert believed == pytest.approx(belief)
@@ -191,6 +187,8 @@ def test_what_cannot_be_run_is_refused() -> None:
         opened("t1", mode="stale")
     with pytest.raises(ConfigError, match=r"no mode 'tru' \(did you mean 'true'\?\)"):
         opened("t1", mode="tru")
+    with pytest.raises(ConfigError, match="ask for `box` too"):
+        opened("t1", mode="adaptive", settings={"unknowns": ["robot"]})
 
 
 @pytest.mark.parametrize("task", ["t2", "t5"])
@@ -361,7 +359,7 @@ def test_the_log_says_what_it_is_of_and_carries_its_settings(log) -> None:
         "0",
     )
     assert json.loads(metadata["truth"]) == pytest.approx(
-        AS_STATED | {"box_mass": 4.0, "floor_friction": 0.6}
+        {"box_mass": 4.0, "box_inertia_scale": 1.0, "floor_friction": 0.6}
     )
     from mcap.reader import make_reader
 
@@ -430,7 +428,7 @@ def news(of: list[Cycle]) -> list[tuple[float, Estimate]]:
 @pytest.mark.medium
 def test_it_starts_from_the_baseline_and_learns(adaptive: tuple[Path, list[Cycle]]) -> None:
     _, run = adaptive
-    assert run[0].belief == pytest.approx(AS_STATED | {"box_mass": 2.0, "floor_friction": 0.3})
+    assert run[0].belief == pytest.approx({"box_mass": 2.0, "box_inertia_scale": 1.0, "floor_friction": 0.3})
     last = run[-1].belief
     assert last["box_mass"] * last["floor_friction"] > 1.2, "0.6 was believed, 2.4 is true"
 
@@ -485,7 +483,17 @@ def test_the_estimator_begins_with_what_the_controller_believes() -> None:
     assert run[0].belief["box_mass"] == pytest.approx(3.3)
     first = news(run)[0][1]
     assert first.mark == "still", "the box has not been met yet"
-    assert first.theta == pytest.approx([3.3, 1.0, 0.44, 0.0, 0.0])
+    assert first.theta == pytest.approx([3.3, 1.0, 0.44])
+
+
+@pytest.mark.medium
+def test_a_crate_that_is_larger_than_stated_is_found_if_it_is_asked_for() -> None:
+    asked = QUICK_ADAPTIVE | {"unknowns": ["box", "box_size"]}
+    run = opened(duration=2.5, mode="adaptive", seed=6, plant="crate", settings=asked)
+    believed = list(run.episode.cycles())[-1].belief
+    assert believed["face_overlap"] == pytest.approx(run.first_truth["face_overlap"], abs=0.004)
+    assert believed["floor_overlap"] == pytest.approx(run.first_truth["floor_overlap"], abs=0.002)
+    assert believed["box_mass"] * believed["floor_friction"] == pytest.approx(2.4, rel=0.1)
 
 
 @pytest.mark.medium
@@ -494,7 +502,7 @@ def test_the_estimator_of_a_run_works_in_a_process(adaptive: tuple[Path, list[Cy
     log = read_log(adaptive[0], system)
     options = RunOptions("t1", mode="adaptive", seed=5, settings=QUICK_ADAPTIVE)
     window = Window(log, 60, 125)
-    start = belief_of(system, np.zeros(5), np.eye(5))
+    start = belief_of(system, np.zeros(3), np.eye(3))
     here = estimator_of(options, start).update(window, 1.0)
     worker = InProcess(partial(estimator_of, options, start), budget=1.0, patience=20.0, starting=60.0)
     try:

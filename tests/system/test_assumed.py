@@ -231,6 +231,5 @@ def test_what_is_held_at_a_measured_value_is_assumed_and_what_is_held_as_it_is_s
     assert (held["command_latency"].mode, held["command_latency"].sd) == ("add", 0.002)
     assert (held["trunk_load"].mode, held["trunk_load"].sd) == ("add", 0.1)
     wider = with_assumed(system, list(held.values()))
-    low = np.where(np.isin(wider.space.names, system.space.names), 0.0, -2.0)
-    theta = wider.space.theta_of(low[None])
+    theta = wider.space.theta_of(np.array([[0.0, 0.0, 0.0, -2.0, -2.0, -2.0]]))
     assert (wider.edits.delays(theta) >= 0.0).all(), "nothing acts before it was commanded"

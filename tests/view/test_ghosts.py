@@ -314,8 +314,8 @@ def test_matched_efforts_are_ghosts_that_move_as_measured() -> None:
 def test_the_demos_pages_are_light() -> None:
     system = amhe.System.load("go1_push")
     log = amhe.read_log("example:t1", system)
-    known = system.space.named(system.space.nominal) | json.loads(log.metadata["truth"])
-    z = system.space.z_of(np.array([known[name] for name in system.space.names]))
+    truth = json.loads(log.metadata["truth"])
+    z = system.space.z_of(np.array([truth[name] for name in system.space.names]))
     view = view_of(system, [log], belief=belief_of(system, z, 1e-4 * np.eye(len(z))), fitted=True)
     assert len(view.page().encode()) < 1_500_000
     seen = Beside(view.strip(0), view.whole_log())

@@ -163,7 +163,7 @@ class Plant:
         noise: Noise of the sensors.
         start: Initial qpos, shape (nq,); None: `home`.
         shape: What of another plant is no number of the model: latency, zeros, friction under load.
-        face: Axis of the box along which it is pushed.
+        face: Axis of the box along which it is pushed; None: nobody asks where its face and its base are.
     """
 
     def __init__(
@@ -174,14 +174,15 @@ class Plant:
         noise: SensorNoise = _NOISE,
         start: FloatArray | None = None,
         shape: PlantShape = PLANTS["ours"],
-        face: int = 0,
+        face: int | None = None,
     ) -> None:
         self.model, self._data, self._at = model, mujoco.MjData(model), layout(model)
         self._pending, self._rng, self._noise = list(changes), rng, noise
         self._pose_every = max(1, round(noise.pose_period / model.opt.timestep))
         self._uniform_inertia = self._inertia_per_mass()
         overlap = model.geom("box").size * (1.0 / np.array(shape.box) - 1.0)
-        self._overlap = {"face_overlap": float(overlap[face]), "floor_overlap": float(overlap[2])}
+        asked = {} if face is None else {"face_overlap": overlap[face], "floor_overlap": overlap[2]}
+        self._overlap = {name: float(value) for name, value in asked.items()}
         self._data.qpos[:] = home(model) if start is None else start
         self._shape, self._friction = shape, np.array(model.dof_frictionloss[self._at.joints_v])
         self._waiting: deque[tuple[float, FloatArray]] = deque()

@@ -229,7 +229,8 @@ def open_run(options: RunOptions, task: Task | None = None) -> Run:
     shape, robot = find_plant(options.plant)
     model = shaped_plant(_moved(task, start), shape, robot)
     first = _start(home(model), layout(model).trunk, start)
-    plant = Plant(model, task.changes, sensors, start=first, shape=shape, face=int(task.one_leg))
+    face = int(task.one_leg) if "face_overlap" in system.space.names else None
+    plant = Plant(model, task.changes, sensors, start=first, shape=shape, face=face)
     target = SimTarget(plant, settings.period, HOME, settings.realtime, latency_of(system))
     return run_on(options, task, system, target, plant, samples, options.threads)
 
@@ -349,7 +350,10 @@ def belief_source(
     if options.mode == "true" and plant is not None:
         if options.belief is not None:
             raise ConfigError("`mode=true` believes the plant's own parameters; leave out `belief`")
-        return FixedBelief(lambda: plant.parameters)
+        nominal = system.space.named(system.space.nominal)  # of what is asked for beside the box
+        return FixedBelief(lambda: nominal | plant.parameters)
+    if not {"box_mass", "floor_friction"} <= set(system.space.names):
+        raise ConfigError("`unknowns`: a run learns box_mass and floor_friction; ask for `box` too")
     start = _start_belief(options, task, system)
     fixed = system.space.named(start.estimate)
     if options.mode != "adaptive":

@@ -33,8 +33,8 @@ class Puppet:
         if window == "fail":
             raise ValueError("no such window")
         space = SYSTEM.space
-        belief = belief_of(SYSTEM, np.full(len(space), self.count), np.eye(len(space)))
-        nothing = np.zeros(len(space))
+        belief = belief_of(SYSTEM, np.full(3, self.count), np.eye(3))
+        nothing = np.zeros(3)
         theta = space.nominal + self.count
         return Estimate(at, theta, nothing, nothing, nothing, belief, "updated", 1.0, 1.0, 9, 0, 1.0)
 
