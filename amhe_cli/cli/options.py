@@ -215,7 +215,7 @@ def _held(ctx: click.Context, param: click.Parameter, path: Path | None) -> dict
 
 unknowns = setting(
     "unknowns GROUP|NAME,...",
-    "What is estimated, where a system holds some parameters: of go1_push box (the default), box_size, robot.",
+    "What is estimated, where a system holds parameters: of go1_push box (the default), box_size, robot.",
     callback=_asked,
     panel=_START,
 )

@@ -281,16 +281,8 @@ def belief_figure(c: Columns, units: Mapping[str, str]) -> Markup:
         believed, true = c[f"belief/{name}"], c.get(f"truth/{name}")
         band = (c[f"lower/{name}"], c[f"upper/{name}"]) if f"lower/{name}" in c else None
         lines = [] if true is None else [Curve(time, true, "true", "ink", "step")]
-        lines.append(
-            Curve(
-                time,
-                believed,
-                "believed, with its 90 % interval" if band else "believed",
-                "after",
-                "step",
-                band,
-            )
-        )
+        text = "believed, with its 90 % interval" if band else "believed"
+        lines.append(Curve(time, believed, text, "after", "step", band))
         highest = max(float(np.nanmax(one.y)) for one in lines)
         low = 0.0 if min(float(np.nanmin(one.y)) for one in lines) > 0.0 else None
         most = 2.0 * highest if low is not None and band and np.nanmax(band[1]) > 2.0 * highest else None

@@ -91,7 +91,7 @@ def test_the_log_says_what_it_is_of(done: Path) -> None:
 def test_the_report_is_one_page_that_needs_no_network(done: Path) -> None:
     page = (done / "report.html").read_text()
     assert "T1: single-goal push" in page
-    assert len(panels(page)) == 9
+    assert len(panels(page)) == 7
     for loading in ("<script src", "fetch(", "<link", "src=", "url(http", "@import"):
         assert loading not in page
 
