@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -50,7 +51,7 @@ def test_where_the_cost_rises_with_several_sheets_each_of_them_is_tried(
 ) -> None:
     """A linearisation calls three sheets wrong, and only one of them explains the logs."""
 
-    def searched(wrong, near) -> SimpleNamespace:
+    def searched(wrong, near) -> Any:
         return SimpleNamespace(problem=SimpleNamespace(system=None), wrong=frozenset(wrong))
 
     def sets(evidence, sheets, wrong) -> dict[frozenset[str], float]:
