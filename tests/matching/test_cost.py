@@ -64,6 +64,15 @@ def test_no_misfit_at_the_truth_from_any_instant():
     assert matching.costs(np.zeros((1, 4))) == pytest.approx(0.0, abs=1e-12)
 
 
+def test_clips_whose_noise_was_another_are_those_that_are_laid_out_with_it():
+    windows, z = [Window(toss(), 0, 100), Window(toss(seed=1), 30, 60)], np.array([[0.3, -0.2, 0.0, 0.4]])
+    first, second = {"cube.position": 2.0, "cube.orientation": 0.5}, {"cube.position": 3.0}
+    anew = MatchingCost(CUBE, windows, ENGINE, SETTINGS, second)
+    again = cost(windows).scaled(first).scaled(second)
+    np.testing.assert_allclose(again.residuals(z).flat, anew.residuals(z).flat, rtol=1e-12)
+    np.testing.assert_allclose(again.as_declared(again.residuals(z)), cost(windows).costs(z), rtol=1e-12)
+
+
 def test_misfit_away_from_it():
     costs = cost([Window(toss(), 0, 150)]).costs(
         np.array([[0.0] * 4, [-1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]])
