@@ -396,6 +396,7 @@ def _noise(quantity: str, series: Series, held: Series) -> float:
 
 def _rounding(values: np.ndarray) -> float:
     """Sd of the rounding of samples (n,); 0 if they have no steps, or only those of a steady motion."""
-    steps = np.diff(values)
-    steady = np.isclose(steps[1:], steps[:-1], rtol=1e-6)[steps[1:] != 0.0]
-    return float(resolution(values) / np.sqrt(12.0)) if steady.size and steady.mean() < 0.5 else 0.0
+    size = resolution(values)
+    steps = np.round(np.diff(values) / size) if size else values[:0]
+    steady = (steps[1:] == steps[:-1])[steps[1:] != 0.0]
+    return size / np.sqrt(12.0) if steady.size and steady.mean() < 0.5 else 0.0

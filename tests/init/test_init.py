@@ -132,9 +132,10 @@ def test_a_speed_that_is_held_and_rounded_errs_by_its_steps(tmp_path: Path, spee
 
 @pytest.mark.parametrize("step", [1.0, 0.1, np.radians(0.5)])
 def test_the_steps_of_a_steady_motion_are_no_rounding(step: float) -> None:
-    """Nor is one whose differences are equal but for the last bits."""
+    """Nor are those of a motion whose differences are equal but for the last bits, or change by a percent."""
     ramp = step * np.arange(500) + np.pi
     assert _rounding(ramp) == 0.0
+    assert _rounding(ramp + 3.0 * step * np.sin(0.003 * np.arange(500))) == 0.0
     assert _rounding(step * np.round(ramp / step / 20.0)) == pytest.approx(step / np.sqrt(12.0))
 
 
