@@ -132,19 +132,20 @@ def _logs(session: Session, model: Path, given: Given) -> None:
     if given.match not in (None, first.match):
         raise ConfigError(f"--match {given.match}: these logs can only be compared by {first.match}")
     # a hobby servo's load is no torque: where the log has commands as well, they can be compared
-    other = first if given.match or inputs.system or first.match != "effort" else proposal(False)
+    free, found, failed = first.match == "effort" and not (given.match or inputs.system), None, None
     try:
         found = audited(first)
-    except EstimationError:
-        if other.match == first.match:
-            raise
-        found = None
-    if other.match != first.match and (found is None or found.found.unexplained):
+    except EstimationError as error:
+        failed = error
+    missed = free and (found is None or found.found.unexplained)
+    if missed and (other := proposal(False)).match == "motion":
         logging.getLogger(__name__).warning(
             "no value explains what the log has as torques: the motion under the commands is compared "
             "instead; --match effort keeps to the torques"
         )
         found = audited(other)
+    elif failed:
+        raise failed
     assert found is not None
     record = session.record(out=str(folder), model=str(model))
     write_audit(
