@@ -129,9 +129,7 @@ def compare(
     clips = systems[0].settings.clips
     parts = [whole(log) for log in unseen[0]] if held_out else split_held_out(logs[0], clips)[1]
     if not parts:
-        raise LogError(
-            "`logs`: no part is held out (they are too short, or `clips.held_out` is 0); give `held_out`"
-        )
+        raise LogError("`logs`: no part is held out (too short, or `clips.held_out` is 0); give `held_out`")
     alike = [replace(one, settings=one.settings.model_copy(update={"clips": clips})) for one in systems]
     share = None if max_time is None else 0.9 * max_time / len(systems)
     results, warnings = [], []

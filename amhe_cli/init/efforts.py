@@ -148,9 +148,8 @@ def largest_inertias(model: mujoco.MjModel) -> FloatArray:
         mujoco.mj_fullM(model, data, matrix)
         found = np.maximum(found, matrix.diagonal())
     kinds = model.jnt_type[model.dof_jntid]
-    return np.array(
-        [max(own, np.median(found[kinds == kind])) for own, kind in zip(found, kinds, strict=True)]
-    )
+    usual = [np.median(found[kinds == kind]) for kind in kinds]
+    return np.maximum(found, usual)
 
 
 def effort_parameters(model: mujoco.MjModel, ranges: Mapping[str, float]) -> Iterator[Guess]:

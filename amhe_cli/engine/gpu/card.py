@@ -115,7 +115,7 @@ class Card:
                 logger.warning("the card has no room for all contacts: such rollouts count as diverged")
                 break
             self.room = self.room.larger()
-            self.clear()
+            self._kept.clear()
         return Predicted(tuple(values), completed)
 
     def follow(self, other: Card) -> None:
@@ -128,14 +128,10 @@ class Card:
         """Compile with a quarter of the cores: of a share of them, priorities keep none."""
         self._compilers = -(-self._compilers // 4)
 
-    def clear(self) -> None:
-        """Give the worlds' memory back."""
-        self._kept.clear()
-
     def narrow(self) -> None:
         """From now on half as many rollouts at once."""
         self.part *= 0.5
-        self.clear()
+        self._kept.clear()
 
     def at_once(self, record: int) -> int:
         """How many rollouts the device holds, each with a record of so many bytes."""
