@@ -30,9 +30,7 @@ def tilt(quaternion: FloatArray) -> float:
     return float(np.arccos(min(1.0, max(-1.0, upright))))
 
 
-NO_JUMP = sealed(np.zeros(12))
-
-
+_AT_REST = sealed(np.zeros(12))
 #: Trip -> the phase that follows.
 TRIPS = {
     **dict.fromkeys(
@@ -41,8 +39,6 @@ TRIPS = {
     ),
     **dict.fromkeys(("plan_lost", "pose_doubt", "pose_lost"), Phase.PAUSE),
 }  # fmt: skip
-
-
 #: Legs folded under the trunk [rad]: within the limits of commands, unlike those of a robot let down.
 FOLDED = sealed(np.tile([0.0, 1.2, -2.6], 4))
 #: Longest time from arming to the first plan [s].
@@ -51,7 +47,6 @@ _FIRST_PLAN = 2.0
 _FIRST_BLEND, _BLEND = 0.3, 0.02
 #: A robot that was walking puts its feet down in this time before it sits down [s].
 _LANDING = 0.2
-_AT_REST = sealed(np.zeros(12))
 #: How a planned end begins where the robot does not stand: nothing has moved yet; it lies, or is half way up.
 _ENDS = {Phase.CONNECT: Phase.OVER, Phase.HOLD: Phase.DAMP, Phase.STAND: Phase.DAMP}
 
@@ -79,8 +74,8 @@ class Machine:
     _playing: Targets | None = None
     _planned: FloatArray = field(default_factory=lambda: _AT_REST)
     _first_plan: float = 0.0
-    _blend: tuple[float, FloatArray] = (0.0, NO_JUMP)
-    _jump: FloatArray = field(default_factory=lambda: NO_JUMP)
+    _blend: tuple[float, FloatArray] = (0.0, _AT_REST)
+    _jump: FloatArray = field(default_factory=lambda: _AT_REST)
     _released: bool = False
     _over_power: int = 0
     _power_tick: int = -1
@@ -272,7 +267,7 @@ class Machine:
 
         The first one may begin in the midst of a stride: at first all are blended into from standing.
         """
-        targets, self._jump = plan.at(now), NO_JUMP
+        targets, self._jump = plan.at(now), _AT_REST
         if plan is not self._playing:
             tick = now - 1.0 / self.settings.rate
             if self._playing is None:
