@@ -471,8 +471,7 @@ def without_jitter(slopes: FloatArray, jitter: FloatArray, pairs: int, d: int) -
 
     Args:
         slopes: Slopes by the coordinates w of the samples, shape (c, d + nx, R).
-        jitter: Variance of the even response over the pairs, which is that of the odd one, shape (c, R); by
-            h, as a sample's: its expectation is by h - 1.
+        jitter: Sample variance (over h) of the even response, which is that of the odd one, shape (c, R).
         pairs: Number of pairs, h.
         d: Number of parameters.
     """
