@@ -197,7 +197,7 @@ def run_cell(cell: Cell, robot: dict[str, Any] | None) -> dict[str, Any]:
     hush_mujoco()
     plant, task, mode, known, seed, tried = cell
     settings: dict[str, Any] = {"parameters": robot[known]} if robot and known != "unknown" else {}
-    if PLANTS[plant].box != PLANTS["ours"].box:  # only there: on a box as stated it costs certainty
+    if PLANTS[plant].box != PLANTS["ours"].box:  # only there: two unknowns more are dearer
         settings["unknowns"] = ["box", "box_size"]
     settings = merged(settings, json.loads(tried or "{}"))
     run = open_run(RunOptions(task, mode, seed=seed, plant=plant, settings=settings))
