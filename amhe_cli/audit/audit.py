@@ -23,6 +23,7 @@ from amhe_cli.core.yaml_file import merged
 from amhe_cli.estimation.conclude import Search
 from amhe_cli.estimation.core.result import Identification, Iteration
 from amhe_cli.estimation.identification import IdentifyOptions, concluded, searched_for
+from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.uncertainty.misfit import unexplained
 from amhe_cli.init.folder import Proposal
 from amhe_cli.system.system import System
@@ -135,7 +136,7 @@ def audit(
     doubts, logs = doubts_of(proposal), tuple[Log, ...]()
 
     def searched(
-        wide: Collection[Group], near: Search | None, clips: int | None, length: float | None
+        clips: int | None, length: float | None, wide: Collection[Group], near: Search | None
     ) -> Search:
         nonlocal logs
         guesses = [claim.guess(claim.group not in wide) for claim in claims]
@@ -148,13 +149,11 @@ def audit(
     search, wrong = None, frozenset[Group]()
     for clips, length in ((None, None),) if proposal.match == "effort" else _CLIPS:
         try:
-            among = partial(searched, clips=clips, length=length)
-            search, wrong = _without_suspects(among, claims, wrong, search)
+            search, wrong = _without_suspects(partial(searched, clips, length), claims, wrong, search)
         except EstimationError:
             if length is None:
                 raise
-            among = partial(searched, clips=_SLOW, length=None)
-            search, wrong = _without_suspects(among, claims, wrong, search)
+            search, wrong = _without_suspects(partial(searched, _SLOW, None), claims, wrong, search)
     assert search is not None
     found, system = concluded(search, quick=True), search.problem.system
     lines = _lines(system, found, claims, wrong, logs)
@@ -176,9 +175,11 @@ def _without_suspects(
     tried = {wrong}
     for _ in range(_ROUNDS):
         evidence, begin = _sketched(search), search
-        sets = wrong_sheets(evidence, _sheets(evidence, search.problem.system, claims), wrong)
-        likely = next(iter(sets)) - refused - aside
-        if likely <= wrong and (far := _far_off(search, claims, wrong | refused)):
+        sheets = _sheets(evidence, search.problem.system, claims)
+        sets, straight = wrong_sheets(evidence, sheets, wrong), _straight(search)
+        # slopes that bend show where to go next, not how far: one sheet, and another linearisation
+        likely = next(one for one in sets if straight or len(one ^ wrong) <= 1) - refused - aside
+        if likely <= wrong and (far := _far_off(search, sheets, wrong | refused)):
             (more, begin) = far
             likely = wrong | {more}
         new = likely - wrong
@@ -220,21 +221,24 @@ def _evidence(
     return Findings(prior[0] + sd * z, prior, information / np.outer(sd, sd), np.array(more), at)
 
 
+def _straight(search: Search) -> bool:
+    """Whether slopes are believed beyond where a search ended."""
+    return isinstance(search.finding, SearchState) and search.finding.straight
+
+
 def _sketched(search: Search) -> Findings:
-    """What a search says, without the checks of its conclusion."""
-    space, told = search.problem.system.space, search.fit.posterior
+    """What a search says, without the checks of its conclusion; where slopes bend, it refused their step."""
+    space, told, z = search.problem.system.space, search.fit.posterior, search.fit.z
     more = told.covariance * np.outer(space.prior_sd, space.prior_sd)
-    at = space.phi_of(space.theta_of(search.fit.z))
-    return _evidence(space, at, search.fit.z + told.step, told.hessian - told.prior, more)
+    at = space.phi_of(space.theta_of(z))
+    return _evidence(space, at, z + told.step * _straight(search), told.hessian - told.prior, more)
 
 
 def _rows(system: System, claims: Iterable[Claim]) -> list[int]:
     return [system.space.names.index(claim.parameter) for claim in claims]
 
 
-def _far_off(
-    search: Search, claims: Sequence[Claim], known: Collection[Group]
-) -> tuple[Group, Search] | None:
+def _far_off(search: Search, sheets: Sheets[Group], known: Collection[Group]) -> tuple[Group, Search] | None:
     """The group that is wrong by so much that no slope shows it, and the search to begin from there.
 
     A servo whose file is fifty times too stiff feels the same if it is ten per cent softer. Where no value
@@ -244,15 +248,13 @@ def _far_off(
     problem, space, at = search.problem, search.problem.system.space, search.finding.z
     if not unexplained(search.fit):
         return None
-    moved: list[tuple[Group, FloatArray]] = []
-    rows = _rows(problem.system, claims)
-    for group in dict.fromkeys(claim.group for claim in claims if claim.group not in known):
-        own = [(row, claim.wide) for row, claim in zip(rows, claims, strict=True) if claim.group == group]
-        for far in _FAR:
-            step = np.zeros(len(at))
-            for row, wide in own:
-                step[row] = far * wide / space.prior_sd[row]
-            moved.append((group, space.clip(at + step)))
+    step, numbers = sheets.wide / space.prior_sd, np.arange(len(at))
+    moved = [
+        (group, space.clip(at + far * step * np.isin(numbers, rows)))
+        for group, rows in sheets.groups.items()
+        if group not in known
+        for far in _FAR
+    ]
     if not moved:
         return None
     costs = problem.cost(problem.clips, search.finding.scale).costs(np.stack((at, *(z for _, z in moved))))
@@ -308,14 +310,9 @@ def _weights(
     system: System, found: Identification, claims: Sequence[Claim], wrong: BoolArray, logs: Sequence[Log]
 ) -> list[float]:
     """What each contradicted number is worth: forces along the motion if it alone were as in the file."""
-    theta = system.space.with_prior(found.belief).nominal
-    model, others = system.edits.apply(system.model, theta), []
-    for i in map(int, np.flatnonzero(wrong)):
-        back = np.array(theta)
-        row = system.space.names.index(claims[i].parameter)
-        back[row] = claims[i].value / claims[i].factor
-        allowed = system.space.theta_of(system.space.clip(system.space.z_of(back)))
-        others.append(system.edits.apply(system.model, allowed))
+    model = system.edits.apply(system.model, system.space.with_prior(found.belief).nominal)
+    numbers = [claim.number for claim, bad in zip(claims, wrong, strict=True) if bad]
+    others = [number.written(model, number.values(system.model)) for number in numbers]
     try:
         states = states_along(system, max(logs, key=lambda one: one.duration))
     except LogError:

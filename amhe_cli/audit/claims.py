@@ -127,6 +127,13 @@ def sheet_of(kind: str, settings: AssumedSettings) -> float:
     return float(getattr(settings, _SETTINGS.get(kind, kind)))
 
 
+def zero_of(number: ModelNumber, model: mujoco.MjModel) -> float:
+    """What a number that the file leaves at zero may be (sd); 0 where it is none."""
+    if number.kind not in _ZERO:
+        return 0.0
+    return short(_ZERO[number.kind] * float(model.dof_M0[model.joint(number.of).dofadr[0]]))
+
+
 def _claim(model: mujoco.MjModel, number: ModelNumber, settings: AssumedSettings) -> Iterator[Claim]:
     share = sheet_of(number.kind, settings)
     name = f"{number.of}_{number.kind}{number.target.get('axis', '') and '_' + number.target['axis']}"
@@ -139,8 +146,7 @@ def _claim(model: mujoco.MjModel, number: ModelNumber, settings: AssumedSettings
         factor = value if number.kind == "inertia" else 1.0
         sd = -float(np.log1p(-share))
         yield Claim(number, name, value, factor, True, sd, max(WIDE, sd), value / factor)
-    elif number.kind in _ZERO:
-        sd = short(_ZERO[number.kind] * float(model.dof_M0[model.joint(number.of).dofadr[0]]))
+    elif sd := zero_of(number, model):
         yield Claim(number, name, 0.0, 1.0, False, sd, WIDE_ZERO * sd, 0.1 * sd)
 
 

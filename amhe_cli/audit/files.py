@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from amhe_cli.audit.audit import Line, in_order, verdicts_of
-from amhe_cli.audit.claims import sheet_of
+from amhe_cli.audit.claims import sheet_of, zero_of
 from amhe_cli.audit.judge import chances, contradicted
 from amhe_cli.audit.weight import anywhere, weights
 from amhe_cli.core.arrays import FloatArray
@@ -142,7 +142,7 @@ def held_against(system: System, belief: Belief, file: mujoco.MjModel) -> list[L
         slope, said = _slope(system, space.nominal, own), number.value(file)
         sd = float(np.sqrt(slope @ belief.covariance @ slope))
         if sd > 0.0:
-            sheet = share * (1.0 if number.kind == "center_of_mass" else abs(said))
+            sheet = share * (1.0 if number.kind == "center_of_mass" else abs(said)) or zero_of(number, file)
             rows.append((number, np.array([own.value(model), said, sd, sheet])))
             others.append(own.written(model, number.values(file)))
     log, said, sd, sheet = np.array([row for _, row in rows]).reshape(-1, 4).T
