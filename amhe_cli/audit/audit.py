@@ -176,9 +176,11 @@ def _without_suspects(
     for _ in range(_ROUNDS):
         evidence, begin = _sketched(search), search
         sheets = _sheets(evidence, search.problem.system, claims)
-        sets, straight = wrong_sheets(evidence, sheets, wrong), _straight(search)
-        # slopes that bend show where to go next, not how far: one sheet, and another linearisation
-        likely = next(one for one in sets if straight or len(one ^ wrong) <= 1) - refused - aside
+        sets = wrong_sheets(evidence, sheets, wrong)
+        if _straight(search):
+            likely = next(iter(sets)) - refused - aside
+        else:  # slopes that bend show where to go next, not how far: one sheet, and another linearisation
+            likely = next(one for one in sets if len(one ^ wrong) <= 1 and not one & refused)
         if likely <= wrong and (far := _far_off(search, sheets, wrong | refused)):
             (more, begin) = far
             likely = wrong | {more}

@@ -45,22 +45,27 @@ def test_a_servo_that_is_thirty_times_too_stiff_in_its_file_is_contradicted(tmp_
     assert gain.verdict == "contradicted" and abs(gain.log - SOFT) < 4.0 * gain.sd + 0.1 * SOFT
 
 
+@pytest.mark.parametrize("straight", [True, False])
 @pytest.mark.parametrize("right", ["a", "b", "c"])
 def test_where_the_cost_rises_with_several_sheets_each_of_them_is_tried(
-    monkeypatch: pytest.MonkeyPatch, right: str
+    monkeypatch: pytest.MonkeyPatch, right: str, straight: bool
 ) -> None:
     """A linearisation calls three sheets wrong, and only one of them explains the logs."""
+    asked = list[frozenset[str]]()
 
     def searched(wrong, near) -> Any:
-        return SimpleNamespace(problem=SimpleNamespace(system=None), wrong=frozenset(wrong))
+        asked.append(frozenset(wrong))
+        return SimpleNamespace(problem=SimpleNamespace(system=None), wrong=asked[-1])
 
     def sets(evidence, sheets, wrong) -> dict[frozenset[str], float]:
         more = {wrong | {name}: value for name, value in (("c", 3.0), ("a", 2.0), ("b", 1.0))}
-        return {frozenset("abc"): 6.0, wrong: 0.0, **more}
+        return {frozenset("abc"): 6.0, **more, wrong: 0.0}
 
     costs = {frozenset(): 10.0, frozenset(right): 5.0}
     for name, stub in (("_sketched", id), ("_sheets", lambda *_: None), ("_far_off", lambda *_: None)):
         monkeypatch.setattr(module, name, stub)
     monkeypatch.setattr(module, "wrong_sheets", sets)
+    monkeypatch.setattr(module, "_straight", lambda search: straight)
     monkeypatch.setattr(module, "_cost", lambda search: costs.get(search.wrong, 20.0))
     assert module._without_suspects(searched, [], frozenset(), None)[1] == {right}
+    assert (frozenset("abc") in asked) == straight  # slopes that bend say one sheet at a time
