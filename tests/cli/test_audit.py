@@ -130,10 +130,14 @@ def test_a_result_against_a_file(pendulum_log: Path, tmp_path: Path, capsys) -> 
         for geom in body.geoms:
             geom.mass *= 5.0
         body.mass *= 5.0
+    for joint in spec.joints:
+        joint.armature = 0.0  # the file leaves it out
     vendor.write_text(spec.to_xml())
     assert run(["audit", str(folder), "--against", str(vendor), "--json"]) == 0
     lines = json.loads(capsys.readouterr().out)["numbers"]
     assert "contradicted" in {line["verdict"] for line in lines if line["what"] == "mass"}
+    (left_out,) = [line for line in lines if line["what"] == "armature"]
+    assert left_out["file"] == 0.0 and 0.1 < left_out["t"] < 10.0  # a zero is not exact
 
 
 def test_other_arguments_are_refused(tmp_path: Path, capsys) -> None:
