@@ -122,31 +122,27 @@ def doubts_of(proposal: Proposal) -> list[Guess]:
     return found + (list(delay(model.opt.timestep)) if moved_by(signals) else [])
 
 
-def sheet_of(kind: str, settings: AssumedSettings) -> float:
-    """What a data sheet is worth: a share of the number, or a length [m]; 0 where it was measured."""
-    return float(getattr(settings, _SETTINGS.get(kind, kind)))
-
-
-def zero_of(number: ModelNumber, model: mujoco.MjModel) -> float:
-    """What a number that the file leaves at zero may be (sd); 0 where it is none."""
-    if number.kind not in _ZERO:
-        return 0.0
+def sheet_of(number: ModelNumber, model: mujoco.MjModel, settings: AssumedSettings) -> float:
+    """What a data sheet is worth: the sd of a number, in its unit; 0 where it was measured."""
+    share, value = float(getattr(settings, _SETTINGS.get(number.kind, number.kind))), number.value(model)
+    if number.kind == "center_of_mass" or not share:
+        return share
+    if value or number.kind not in _ZERO:
+        return share * abs(value)
     return short(_ZERO[number.kind] * float(model.dof_M0[model.joint(number.of).dofadr[0]]))
 
 
 def _claim(model: mujoco.MjModel, number: ModelNumber, settings: AssumedSettings) -> Iterator[Claim]:
-    share = sheet_of(number.kind, settings)
     name = f"{number.of}_{number.kind}{number.target.get('axis', '') and '_' + number.target['axis']}"
-    value = number.value(model)
-    if not share:
-        return  # it was measured, and is exact
+    value, sd = number.value(model), sheet_of(number, model, settings)
+    if not sd:
+        return  # it was measured, and is exact; or it is none
     if number.kind == "center_of_mass":
-        yield Claim(number, name, value, 1.0, False, share, WIDE_LENGTH, value)
+        yield Claim(number, name, value, 1.0, False, sd, WIDE_LENGTH, value)
     elif value > 0.0:
-        factor = value if number.kind == "inertia" else 1.0
-        sd = -float(np.log1p(-share))
+        factor, sd = value if number.kind == "inertia" else 1.0, -float(np.log1p(-sd / value))
         yield Claim(number, name, value, factor, True, sd, max(WIDE, sd), value / factor)
-    elif sd := zero_of(number, model):
+    elif value == 0.0:
         yield Claim(number, name, 0.0, 1.0, False, sd, WIDE_ZERO * sd, 0.1 * sd)
 
 

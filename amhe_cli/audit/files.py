@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from amhe_cli.audit.audit import Line, in_order, verdicts_of
-from amhe_cli.audit.claims import sheet_of, zero_of
+from amhe_cli.audit.claims import sheet_of
 from amhe_cli.audit.judge import chances, contradicted
 from amhe_cli.audit.weight import anywhere, weights
 from amhe_cli.core.arrays import FloatArray
@@ -136,19 +136,18 @@ def held_against(system: System, belief: Belief, file: mujoco.MjModel) -> list[L
     pairs, rows, others = partners(file, model)[0], list[tuple[ModelNumber, FloatArray]](), []
     for number in numbers_of(file):
         own = theirs.get((number.kind, pairs[number.element].get(number.of, ""), number.what))
-        share = sheet_of(number.kind, AssumedSettings())
-        if own is None or not share:
+        sheet = sheet_of(number, file, AssumedSettings())
+        if own is None or not sheet:
             continue
         slope, said = _slope(system, space.nominal, own), number.value(file)
         sd = float(np.sqrt(slope @ belief.covariance @ slope))
         if sd > 0.0:
-            sheet = share * (1.0 if number.kind == "center_of_mass" else abs(said)) or zero_of(number, file)
             rows.append((number, np.array([own.value(model), said, sd, sheet])))
             others.append(own.written(model, number.values(file)))
     log, said, sd, sheet = np.array([row for _, row in rows]).reshape(-1, 4).T
     t = (log - said) / np.sqrt(sd**2 + sheet**2)
     chance = chances(t)
-    verdicts = verdicts_of(contradicted(chance), sd <= np.maximum(sheet, 1e-12))
+    verdicts = verdicts_of(contradicted(chance), sd <= sheet)
     worth = weights(model, others, anywhere(model))
     return in_order(
         Line(
