@@ -27,7 +27,7 @@ copied to the host.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -313,9 +313,9 @@ def linearise(
         errors = first.mean + np.einsum("cij,hj->hci", first.shape, signs[:, d:])
         residuals = cost.residuals(candidates, errors if nx else None)
         odd, even, pairs = _parity(residuals, half)
-        slopes, bent = _regress(odd, pairs, steps, moves), len(even)
-        gain = _by_coordinates(slopes, shape, first.shape)
+        gain = _by_coordinates(_regress(odd, pairs, steps, moves), shape, first.shape)
         # the middle of a pair may not be z either, and its share of the even response is linear
+        bent = len(even)
         curves = even - _predicted(gain[:, :d], middles, even)
         lift, bend = _moments(curves, pairs[:, :bent])
         centre = to_host(residuals.stacked[-1])
@@ -323,7 +323,7 @@ def linearise(
             cost=cost,
             residual=centre + averaged * lift,
             centre=centre,
-            gain=slopes if averaged else gain,
+            gain=gain,
             curves=curves * namespace_of(curves).asarray(pairs.T[:bent, :, None]),
             bend=bend - lift**2 if averaged else bend,
             first=first,
@@ -335,15 +335,11 @@ def linearise(
     residuals = sum(observed.mask.shape[1] * observed.width for observed in cost.clips.observed)
     most = int(TURN_SHARE * cost.engine.device_bytes)
     parts = turns(len(first.mean), 8 * len(candidates) * residuals, most)
+    if len(parts) == 1:
+        return of_clips(cost, first)
     pieces = ((clips, of_clips(cost.of(clips), first.of(clips))) for clips in parts)
     # where nothing touches, a step is none the worse for slopes of seven digits
-    kept_as = np.float64 if moves is None else np.float32
-    found = of_clips(cost, first) if len(parts) == 1 else _joined(cost, first, pieces, kept_as)
-    if not averaged:
-        return found
-    slopes, own = found.gain, found.completed  # what all clips know, whether or not they took turns
-    slopes[own] = without_jitter(slopes[own], found.bend[own], half, d)
-    return replace(found, gain=_by_coordinates(slopes, shape, first.shape))
+    return _joined(cost, first, pieces, np.float64 if moves is None else np.float32)
 
 
 def _samples(
@@ -459,34 +455,6 @@ def _regress(
     weighted = xp.asarray(pairs[..., None] * steps)
     right = to_host(xp.einsum("chi,hcr->cir", weighted, odd, optimize=True))
     return np.linalg.solve(normal, right)
-
-
-def without_jitter(slopes: FloatArray, jitter: FloatArray, pairs: int, d: int) -> FloatArray:
-    """Slopes (c, d + nx, R) shrunk so that their squares are as large as if no residual jittered.
-
-    A slope from h pairs errs by the jitter's variance over h, and its square would count as information. In
-    A = sum of s s' / (1 + jitter) that is k = sum of jitter / (1 + jitter) / h along every direction: of an
-    eigenvalue l of A, l - k is no jitter. Slopes by z have one A of all clips, which knows their directions
-    better than each clip's own; slopes by first states have one for each clip.
-
-    Args:
-        slopes: Slopes by the coordinates w of the samples, shape (c, d + nx, R).
-        jitter: Sample variance (over h) of the even response, which is that of the odd one, shape (c, R).
-        pairs: Number of pairs, h.
-        d: Number of parameters.
-    """
-    weight, (of_z, of_first) = 1.0 / (1.0 + jitter), np.split(slopes, [d], axis=1)
-    noise = (weight * jitter).sum(axis=1) / max(pairs - 1, 1)
-    squares = (np.einsum("cir,cr,cjr->cij", one, weight, one, optimize=True) for one in (of_z, of_first))
-    of_all, of_each = (next(squares).sum(axis=0), noise.sum()), (next(squares), noise)
-    return np.concatenate((_beyond(*of_all) @ of_z, _beyond(*of_each) @ of_first), axis=1)
-
-
-def _beyond(square: FloatArray, noise: FloatArray) -> FloatArray:
-    """Shrinkage (..., n, n) that takes noise (...) out of slopes with these squares (..., n, n)."""
-    values, vectors = np.linalg.eigh(square)
-    share = np.maximum(1.0 - np.asarray(noise)[..., None] / np.maximum(values, 1e-300), 0.0)
-    return np.asarray((vectors * np.sqrt(share)[..., None, :]) @ vectors.swapaxes(-1, -2))
 
 
 def _by_coordinates(slopes: FloatArray, shape: FloatArray, first_shape: FloatArray) -> FloatArray:
