@@ -43,7 +43,10 @@ def explain(system: System, parts: Sequence[Window], z: FloatArray, rng: np.rand
     """
     fitted, suffices = _model_alone(system, parts, z, rng)
     if suffices:
-        return Missing(untested="the model explains its logs as well as those that it makes itself")
+        return Missing(
+            untested="with values that a regression finds, the model explains its logs as well as those "
+            "that it makes itself; where the misfit is large, the search has not found them"
+        )
     if system.match == "effort":  # nearly linear: the regression finds the values beside a cause
         return forced(system, parts, fitted, rng, 0)
     wrong = mended(system, parts, rng)
