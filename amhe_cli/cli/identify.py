@@ -44,7 +44,6 @@ def _a_cause(ctx: click.Context, param: click.Parameter, value: str | None) -> s
     ),
     options.believed("Start from an earlier belief.yaml instead of the system's own prior."),
     options.narrowing,
-    options.unknowns,
     options.robot,
     option(
         "--repair [KIND@PLACE]",

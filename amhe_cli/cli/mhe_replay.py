@@ -27,7 +27,6 @@ _SHOWN = 4
         "Start from a belief.yaml, its sd floored so that it can still move, instead of the system's prior."
     ),
     options.narrowing,
-    options.unknowns,
     options.followed,
     options.estimator,
     options.work,

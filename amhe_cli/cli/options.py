@@ -182,6 +182,17 @@ def believed(about: str) -> tuple[Option, ...]:
     return in_panel(_START, option("--belief", about, FILE), belief_anyway)
 
 
+def _asked(ctx: click.Context, param: click.Parameter, given: str | None) -> str | None:
+    names = listed(ctx, param, given)
+    return f"[{', '.join(names)}]" if names else None
+
+
+unknowns = setting(
+    "unknowns GROUP|NAME,...",
+    "What is estimated, where a system holds parameters: of go1_push box (the default), box_size, robot.",
+    callback=_asked,
+    panel=_START,
+)
 narrowing = in_panel(
     _START,
     option(
@@ -196,12 +207,8 @@ narrowing = in_panel(
         shell_complete=completion.parameters(),
         callback=lambda ctx, param, given: list(listed(ctx, param, given)) or None,
     ),
+    unknowns,
 )
-
-
-def _asked(ctx: click.Context, param: click.Parameter, given: str | None) -> str | None:
-    names = listed(ctx, param, given)
-    return f"[{', '.join(names)}]" if names else None
 
 
 def _held(ctx: click.Context, param: click.Parameter, path: Path | None) -> dict[str, float] | None:
@@ -213,12 +220,6 @@ def _held(ctx: click.Context, param: click.Parameter, path: Path | None) -> dict
     return {f"{name}.{key}": value for name, keys in known.items() for key, value in keys.items()}
 
 
-unknowns = setting(
-    "unknowns GROUP|NAME,...",
-    "What is estimated, where a system holds parameters: of go1_push box (the default), box_size, robot.",
-    callback=_asked,
-    panel=_START,
-)
 robot = option(
     "--robot",
     "Belief of identify --unknowns robot: the robot's numbers are held at its values; what they leave open "
