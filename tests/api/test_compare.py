@@ -156,7 +156,7 @@ def test_the_smallest_friction_model_that_explains_a_geared_joint_wins(tmp_path:
     quick = [
         "--set=clips.count=4",
         "--set=clips.length=[0.3,1.0]",
-        "--set=identify.iterations=3",
+        "--set=identify.iterations=8",
         "--set=identify.profile_points=0",
         "--set=identify.first_state=never",
         "--set=identify.assumed=0",  # which of them predicts best does not depend on it
