@@ -10,6 +10,7 @@ import os
 import re
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
@@ -198,7 +199,8 @@ def test_nothing_to_stumble_over(kind: str, chromium: Browser, tmp_path: Path) -
             chromium.complaints.clear()
             chromium.open(page if "://" in page else (tmp_path / page).as_uri(), width, 900, dark)
             chromium.run(SETTLED)
-            for _ in range(40):  # a script may choose the colours
+            until = time.monotonic() + 10.0
+            while time.monotonic() < until:  # a script may choose the colours, on a busy machine late
                 back = re.findall(r"\d+", chromium.run("getComputedStyle(document.body).backgroundColor"))
                 if (int(back[0]) < 128) is dark:
                     break
