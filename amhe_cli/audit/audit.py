@@ -230,10 +230,12 @@ def _straight(search: Search) -> bool:
 
 def _sketched(search: Search) -> Findings:
     """What a search says, without the checks of its conclusion; where slopes bend, it refused their step."""
-    space, told, z = search.problem.system.space, search.fit.posterior, search.fit.z
-    more = told.covariance * np.outer(space.prior_sd, space.prior_sd)
+    space, posterior, z = search.problem.system.space, search.fit.posterior, search.fit.z
+    more = posterior.covariance * np.outer(space.prior_sd, space.prior_sd)
     at = space.phi_of(space.theta_of(z))
-    return _evidence(space, at, z + told.step * _straight(search), told.hessian - told.prior, more)
+    return _evidence(
+        space, at, z + posterior.step * _straight(search), posterior.hessian - posterior.prior, more
+    )
 
 
 def _rows(system: System, claims: Iterable[Claim]) -> list[int]:

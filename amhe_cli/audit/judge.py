@@ -8,7 +8,7 @@ linear model with normal errors: with the logs' information A, and their score r
 
 Sets are searched from one that is known, sheets added, taken back or put in another's place (Bayesian
 variable selection: George and McCulloch 1993); and once more without each sheet of the best set. So one wrong
-number is told from two that could make up for it.
+number is distinguished from two that could make up for it.
 
 **Numbers.** What the file says, with the sd of its data sheet, is compared with what the log says with all
 other numbers at their own sheets, but for those that are wrong: the number's own prior is taken out of the
@@ -231,9 +231,9 @@ def judged(
     for one, share in zip(likely, weights / weights.sum(), strict=True):
         believed = np.array([name not in one for name in names])
         right += believed * share
-        if (asked := believed & (seen < _SETS)).any():
+        if (tested := believed & (seen < _SETS)).any():
             far = chances(said(evidence.with_priors(sheets.sd(one)), rows, *of).t)
-            chance, weight, seen = chance + asked * share * far, weight + asked * share, seen + asked
+            chance, weight, seen = chance + tested * share * far, weight + tested * share, seen + tested
     return here, np.maximum(chances(here.t), right * chance / np.maximum(weight, 1e-300))
 
 

@@ -278,7 +278,7 @@ class _Candidates:
             x: What they stand beside.
             signs: Signs of the blocks, shape (s, blocks); None: as they are.
             left: Products of another residual with all candidates, (blocks, M), and with x, (blocks, q).
-            only: The candidate that is asked for; 0 of all others.
+            only: The candidate that is requested; 0 of all others.
 
         Returns:
             Shape (candidates, blocks); with signs (candidates, s), summed over the blocks.

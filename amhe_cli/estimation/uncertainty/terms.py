@@ -41,7 +41,7 @@ def prior(fit: FinalFit) -> Term:
 
 
 def _prior_of(parameter: Parameter, body: str, bodies: Collection[str]) -> Source:
-    """A parameter's prior; a coordinate of an inertia says nothing to people, its body does."""
+    """A parameter's prior; a coordinate of an inertia is named as its body."""
     if body in bodies:
         return Source(f"your prior of {body}", parameter=parameter.name)
     value = f"{parameter.nominal:.4g}"
