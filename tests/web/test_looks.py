@@ -182,6 +182,10 @@ KINDS: dict[str, Maker] = {
 @pytest.fixture(scope="module")
 def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     with browser(tmp_path_factory.mktemp("profile")) as one:
+        # Pages remember the colours that they were last shown in. Each view starts as a new reader's: a storage
+        # that is emptied from outside may still stand in the page's own process.
+        forget = "try { localStorage.clear() } catch { /* about:blank has none */ }"
+        one.ask("Page.addScriptToEvaluateOnNewDocument", source=forget)
         yield one
 
 
