@@ -33,8 +33,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from amhe_cli.robots.go1.emulator.emulator import Emulator, EmulatorOptions
-from amhe_cli.robots.go1.emulator.ports import Faults
+from amhe_cli.robots.go1.emulator import Emulator, EmulatorOptions, Faults
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.mail import Phase, Targets

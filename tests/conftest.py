@@ -1,12 +1,17 @@
 """What several rooms' tests share: a small log of a pendulum whose parameters are known."""
 
+from __future__ import annotations
+
+import fcntl
 import gc
 import os
 import shutil
 import signal
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import hypothesis
 import mujoco
@@ -14,6 +19,11 @@ import numpy as np
 import pytest
 
 from amhe_cli.logs import LogWriter
+
+if TYPE_CHECKING:
+    from tests.view.browser import Browser, Chromium
+
+MODELS = Path(__file__).parents[1] / "models"
 
 # A job in the background of a shell is started with SIGINT ignored, and hands that on to what it starts:
 # tests of Ctrl-C need the usual state.
@@ -46,7 +56,58 @@ def hangs_up() -> Iterator[None]:
     signal.signal(signal.SIGHUP, before)
 
 
-MODELS = Path(__file__).parents[1] / "models"
+@pytest.fixture(scope="session")
+def site(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
+    """The documentation as a site, which one worker builds for all."""
+    pytest.importorskip("mkdocs")
+    base = tmp_path_factory.getbasetemp()
+    folder = (base if worker_id == "master" else base.parent) / "site"
+    with folder.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not folder.exists():
+            command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "-d", str(folder)]
+            built = subprocess.run(
+                command, cwd=MODELS.parent, capture_output=True, text=True,
+                env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
+            )  # fmt: skip
+            assert built.returncode == 0, built.stderr
+    return folder
+
+
+@pytest.fixture(scope="session")
+def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
+    """The browser of this worker."""
+    from tests.view import browser
+
+    if browser.PROGRAM is None:
+        pytest.skip("no Chromium is installed (Debian: chromium)")
+    with browser.chromium(tmp_path_factory.mktemp("profile")) as one:
+        yield one
+
+
+@pytest.fixture
+def tab(chromium: Chromium, tmp_path: Path) -> Iterator[Browser]:
+    """A tab of its own."""
+    with chromium.tab(tmp_path) as one:
+        yield one
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Function) -> Iterator[None]:
+    """A test that fails with a page open leaves a picture of it in its folder."""
+    if (shown := item.funcargs.get("tab")) is None:
+        return (yield)
+    from tests.view.browser import picture_of_failure
+
+    with picture_of_failure(shown, item.funcargs["tmp_path"]):
+        return (yield)
+
+
+@pytest.fixture
+def unexplained(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No search for causes of what a model misses: it takes longer than the fit; `explain` has tests."""
+    monkeypatch.setattr("amhe_cli.estimation.conclude._missing", lambda fit, watch: watch.omits())
+
 
 #: The pendulum that the log is of; system.yaml starts elsewhere.
 PENDULUM_TRUTH = {"load_mass": 0.62, "damping": 0.035, "friction_loss": 0.03, "armature": 0.006}

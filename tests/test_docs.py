@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import ast
-import os
 import re
 import shlex
 import shutil
-import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -89,14 +86,10 @@ def test_every_room_is_described() -> None:
 
 
 @pytest.mark.medium
-def test_the_site_holds_every_page_and_its_links_lead_somewhere(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path)]
-    done = subprocess.run(
-        command, cwd=ROOT, capture_output=True, text=True, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"}
-    )
-    assert done.returncode == 0, done.stderr
+def test_the_site_holds_every_page_and_its_links_lead_somewhere(site: Path) -> None:
+    """Its links are looked at as it is built (--strict)."""
     pages = {page.stem for page in (ROOT / "docs").glob("*.md")} | {"index"}
-    assert pages <= {page.stem for page in tmp_path.glob("*.html")}
+    assert pages <= {page.stem for page in site.glob("*.html")}
     listed = re.findall(r": (\w+)\.md$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), re.MULTILINE)
     assert sorted(listed) == sorted(pages), "each page stands in the site's contents"
 
@@ -193,6 +186,7 @@ def quick(patch: pytest.MonkeyPatch) -> None:
     patch.setenv("AMHE_IDENTIFY__FIRST_STATE", "never")
     patch.setenv("AMHE_IDENTIFY__PROFILE_POINTS", "0")
     patch.setenv("AMHE_PROBE__CANDIDATES", "4")
+    patch.setattr("amhe_cli.estimation.conclude._missing", lambda fit, watch: watch.omits())
 
 
 #: Command -> options that let it take little time.

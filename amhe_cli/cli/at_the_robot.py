@@ -326,8 +326,7 @@ def emulate(session: Session, given: Given) -> None:
     go1.box_offset the rigid bodies, go1.crc the checksums, and go1.slow the pace: the same --config suits
     both.
     """
-    from amhe_cli.robots.go1.emulator.emulator import Emulator, EmulatorOptions
-    from amhe_cli.robots.go1.emulator.ports import parse_faults
+    from amhe_cli.robots.go1.emulator import Emulator, EmulatorOptions, parse_faults
     from amhe_cli.robots.go1.link.process import ROBOT, take_priority
     from amhe_cli.robots.go1.poses.sources import NATNET_PORT, UDP_PORT
     from amhe_cli.robots.go1.run import RunOptions, task_and_system

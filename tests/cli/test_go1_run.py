@@ -31,8 +31,7 @@ from amhe_cli.logs import read_metadata, survey
 from amhe_cli.robots.go1.link.mail import Phase, SenderReport, StoppedError
 from amhe_cli.robots.go1.poses.feed import KINDS
 from amhe_cli.robots.go1.probing.motions import STEADY
-from tests.robots.go1.emulator.emulating import Emulated, emulating
-from tests.robots.go1.poses.streaming import free_port
+from tests.robots.go1.stand_ins import Emulated, emulating, free_port
 
 ROOT = Path(__file__).parents[2]
 #: Little work, quick motions, and patience with a busy machine.

@@ -25,7 +25,7 @@ from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.rotations import exp, multiply
 from tests.cli.conftest import names
 from tests.conftest import MODELS, write_pendulum_log
-from tests.robots.go1.emulator.emulating import Emulated, emulating
+from tests.robots.go1.stand_ins import Emulated, emulating
 
 ROOT = Path(__file__).parents[2]
 

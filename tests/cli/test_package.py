@@ -15,7 +15,7 @@ from amhe_cli.cli import progress
 from amhe_cli.cli.main import run
 from amhe_cli.estimation.core.result import Iteration
 from tests.conftest import MODELS
-from tests.view.browser import PIXELS, browser, needs_chromium
+from tests.view.browser import PIXELS, Browser
 
 ROOT = Path(__file__).parents[2]
 
@@ -49,8 +49,9 @@ def test_the_wheel_carries_systems_logs_and_templates(installed: Path) -> None:
 
 
 @pytest.mark.slow
-@needs_chromium
-def test_a_page_of_the_installed_command_opens_and_plays(installed: Path, tmp_path: Path) -> None:
+def test_a_page_of_the_installed_command_opens_and_plays(
+    installed: Path, tab: Browser, tmp_path: Path
+) -> None:
     page = tmp_path / "page.html"
     subprocess.run(
         [sys.executable, "-m", "amhe_cli", "view", "example:pendulum", "--save", page],
@@ -58,16 +59,15 @@ def test_a_page_of_the_installed_command_opens_and_plays(installed: Path, tmp_pa
         env=os.environ | {"PYTHONPATH": str(installed)},
         check=True,
     )
-    with browser(tmp_path) as one:
-        one.cut_off()
-        one.open(page.as_uri())
-        first, colors = one.run(PIXELS)
-        assert colors > 50
-        one.run("document.getElementById('play').click()")
-        one.run("new Promise((done) => setTimeout(done, 500))")
-        assert one.run(PIXELS)[0] != first
-        assert one.run("document.getElementById('failure').hidden")
-        assert one.requests == [page.as_uri()]
+    tab.cut_off()
+    tab.open(page.as_uri())
+    first, colors = tab.run(PIXELS)
+    assert colors > 50
+    tab.run("document.getElementById('play').click()")
+    tab.run("new Promise((done) => setTimeout(done, 500))")
+    assert tab.run(PIXELS)[0] != first
+    assert tab.run("document.getElementById('failure').hidden")
+    assert tab.requests == [page.as_uri()]
 
 
 @pytest.mark.medium

@@ -35,7 +35,7 @@ from amhe_cli.report.identification import (
 from amhe_cli.report.identification_page import ALONE, Beside, identification_page, next_steps, statements
 from amhe_cli.system.system import System
 from tests.report.synthetic import fit, identification, parameter
-from tests.view.browser import browser, needs_chromium
+from tests.view.browser import Browser
 from tests.web.figures import panels
 
 ORIGIN = {
@@ -86,14 +86,12 @@ def test_the_page_runs_its_own_script_only(html: str) -> None:
 
 
 @pytest.mark.medium
-@needs_chromium
-def test_a_script_that_got_into_the_page_does_not_run(html: str, tmp_path: Path) -> None:
+def test_a_script_that_got_into_the_page_does_not_run(html: str, tab: Browser, tmp_path: Path) -> None:
     bad = "<script>window.ran = 1</script><img src=x onerror='window.ran = 1'></main>"
     (tmp_path / "page.html").write_text(html.replace("</main>", bad), encoding="utf-8")
-    with browser(tmp_path / "profile") as one:
-        one.open((tmp_path / "page.html").as_uri())
-        assert one.run("new Promise((done) => setTimeout(() => done(window.ran ?? 0), 200))") == 0
-        assert one.run("document.querySelector('.panel path') !== null"), "its own runs"
+    tab.open((tmp_path / "page.html").as_uri())
+    assert tab.run("new Promise((done) => setTimeout(() => done(window.ran ?? 0), 200))") == 0
+    assert tab.run("document.querySelector('.panel path') !== null"), "its own runs"
 
 
 @pytest.mark.medium
@@ -255,23 +253,20 @@ def test_a_prediction_that_runs_away_does_not_spoil_the_picture() -> None:
 
 
 @pytest.mark.medium
-@needs_chromium
-def test_paper_holds_every_column_of_the_tables(html: str, tmp_path: Path) -> None:
+def test_paper_holds_every_column_of_the_tables(html: str, tab: Browser, tmp_path: Path) -> None:
     (tmp_path / "page.html").write_text(html, encoding="utf-8")
     beyond = (
         "Math.max(...[...document.querySelectorAll('.wide')].map((one) => one.scrollWidth - one.clientWidth))"
     )
-    with browser(tmp_path / "profile") as one:
-        one.open((tmp_path / "page.html").as_uri(), width=390)
-        assert one.run(beyond) > 0, "a narrow screen scrolls"
-        one.open((tmp_path / "page.html").as_uri(), width=718)  # A4 with margins of 1 cm
-        one.ask("Emulation.setEmulatedMedia", media="print")
-        assert one.run(beyond) <= 0
+    tab.open((tmp_path / "page.html").as_uri(), width=390)
+    assert tab.run(beyond) > 0, "a narrow screen scrolls"
+    tab.open((tmp_path / "page.html").as_uri(), width=718)  # A4 with margins of 1 cm
+    tab.ask("Emulation.setEmulatedMedia", media="print")
+    assert tab.run(beyond) <= 0
 
 
 @pytest.mark.medium
-@needs_chromium
-def test_a_usual_screen_shows_every_verdict_whole(tmp_path: Path) -> None:
+def test_a_usual_screen_shows_every_verdict_whole(tab: Browser, tmp_path: Path) -> None:
     """The last column was cut off, and with it the end of each verdict."""
     found = replace(parameter(0), name="shoulder_friction_loss", verdict="model-sensitive")
     changed = identification(parameters=(found, *(parameter(i) for i in range(1, 4))))
@@ -279,9 +274,8 @@ def test_a_usual_screen_shows_every_verdict_whole(tmp_path: Path) -> None:
     cut = (
         "Math.max(...[...document.querySelectorAll('.wide')].map((one) => one.scrollWidth - one.clientWidth))"
     )
-    with browser(tmp_path / "profile") as one:
-        one.open((tmp_path / "page.html").as_uri(), width=1280)
-        assert one.run(cut) <= 0
+    tab.open((tmp_path / "page.html").as_uri(), width=1280)
+    assert tab.run(cut) <= 0
 
 
 @pytest.mark.medium
@@ -326,24 +320,24 @@ def test_dropped_clips_are_named_only_where_there_are_any(html: str) -> None:
 
 
 @pytest.mark.medium
-@needs_chromium
-def test_a_dark_screen_gets_a_dark_page_and_paper_a_light_one(html: str, tmp_path: Path) -> None:
+def test_a_dark_screen_gets_a_dark_page_and_paper_a_light_one(
+    html: str, tab: Browser, tmp_path: Path
+) -> None:
     (tmp_path / "page.html").write_text(html, encoding="utf-8")
     light = (
         "['backgroundColor', 'color'].map((name) => getComputedStyle(document.body)[name].match(/\\d+/g)"
         ".reduce((sum, one) => sum + Number(one), 0) / 765)"
     )
-    with browser(tmp_path / "profile") as one:
-        one.open((tmp_path / "page.html").as_uri(), dark=True)
-        back, ink = one.run(light)
-        assert back < 0.2 and ink > 0.8
-        stroke = "getComputedStyle(document.querySelector('.panel path.dots')).stroke"
-        assert one.run(stroke) == "rgb(203, 213, 225)"
-        dark = [{"name": "prefers-color-scheme", "value": "dark"}]
-        one.ask("Emulation.setEmulatedMedia", media="print", features=dark)
-        back, ink = one.run(light)
-        assert back == 1.0 and ink < 0.2
-        assert one.run(stroke) == "rgb(71, 85, 105)"
+    tab.open((tmp_path / "page.html").as_uri(), dark=True)
+    back, ink = tab.run(light)
+    assert back < 0.2 and ink > 0.8
+    stroke = "getComputedStyle(document.querySelector('.panel path.dots')).stroke"
+    assert tab.run(stroke) == "rgb(203, 213, 225)"
+    dark = [{"name": "prefers-color-scheme", "value": "dark"}]
+    tab.ask("Emulation.setEmulatedMedia", media="print", features=dark)
+    back, ink = tab.run(light)
+    assert back == 1.0 and ink < 0.2
+    assert tab.run(stroke) == "rgb(71, 85, 105)"
 
 
 def test_error_against_horizon_is_in_degrees_and_millimetres() -> None:
@@ -510,11 +504,9 @@ def test_a_dollar_in_a_name_is_a_dollar_and_no_formula() -> None:
 
 
 @pytest.mark.medium
-@needs_chromium
-def test_a_link_opens_its_part(html: str, tmp_path: Path) -> None:
+def test_a_link_opens_its_part(html: str, tab: Browser, tmp_path: Path) -> None:
     (tmp_path / "page.html").write_text(html, encoding="utf-8")
-    with browser(tmp_path / "profile") as one:
-        one.open((tmp_path / "page.html").as_uri())
-        one.run("location.hash = '#cost-along-each-parameter'")
-        opened = "document.getElementById('cost-along-each-parameter').open"
-        assert one.run(f"new Promise((done) => setTimeout(() => done({opened}), 100))")
+    tab.open((tmp_path / "page.html").as_uri())
+    tab.run("location.hash = '#cost-along-each-parameter'")
+    opened = "document.getElementById('cost-along-each-parameter').open"
+    assert tab.run(f"new Promise((done) => setTimeout(() => done({opened}), 100))")

@@ -1,4 +1,7 @@
-"""A headless Chromium through a pipe of its debugging protocol: no port, no further package."""
+"""A headless Chromium through a pipe of its debugging protocol: no port, no further package.
+
+Tests take the fixture `tab`, which is a new reader's; all of a worker's are of one Chromium.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +15,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 PROGRAM = next(
     (p for name in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(name))), None
 )
-
-needs_chromium = pytest.mark.skipif(PROGRAM is None, reason="no Chromium is installed (Debian: chromium)")
-
 
 #: Sum of the scene's pixels, and how many colours it has.
 PIXELS = """(() => {
@@ -39,14 +37,53 @@ PIXELS = """(() => {
 _TALLEST = 8000
 
 
-class Browser:
-    """One tab. Scripts that fail fail the test; what pages say on the console is kept in `complaints`."""
+class Chromium:
+    """Both ends of the pipe to a Chromium that runs."""
 
     def __init__(self, to: Any, back: Any) -> None:
         self._to, self._back, self._count, self._unread = to, back, 0, b""
-        self.session: dict[str, str] = {}
-        target = self.ask("Target.createTarget", url="about:blank")["targetId"]
-        attached = self.ask("Target.attachToTarget", targetId=target, flatten=True)
+
+    def ask(self, method: str, tab: Browser | None = None, **params: Any) -> dict[str, Any]:
+        """The answer to a request of the browser, or of a tab, which hears what is told meanwhile."""
+        self._count += 1
+        request = {"id": self._count, "method": method, "params": params, **(tab.session if tab else {})}
+        self._to.write(json.dumps(request).encode() + b"\0")
+        self._to.flush()
+        while True:
+            answer = json.loads(self._message())
+            if tab and answer.get("sessionId") == tab.session.get("sessionId"):
+                tab.hear(answer.get("method", ""), answer.get("params", {}))
+            if answer.get("id") == self._count:
+                assert "error" not in answer, answer
+                return answer["result"]
+
+    def _message(self) -> bytes:
+        while (end := self._unread.find(b"\0")) < 0:
+            more = self._back.read(2**20)  # what there is; a picture has megabytes
+            assert more, "Chromium has ended"
+            self._unread += more
+        whole, self._unread = self._unread[:end], self._unread[end + 1 :]
+        return whole
+
+    @contextmanager
+    def tab(self, folder: Path) -> Iterator[Browser]:
+        """A tab that shares nothing with others; where the block fails, `failure.png` shows why."""
+        context = self.ask("Target.createBrowserContext")
+        try:
+            one = Browser(self, context)
+            with picture_of_failure(one, folder):
+                yield one
+        finally:
+            self.ask("Target.disposeBrowserContext", **context)
+
+
+class Browser:
+    """One tab. Scripts that fail fail the test; what pages say on the console is kept in `complaints`."""
+
+    def __init__(self, chromium: Chromium, context: dict[str, Any]) -> None:
+        self._chromium = chromium
+        target = chromium.ask("Target.createTarget", url="about:blank", **context)["targetId"]
+        attached = chromium.ask("Target.attachToTarget", targetId=target, flatten=True)
         self.session = {"sessionId": attached["sessionId"]}
         self.requests: list[str] = []
         self.complaints: list[str] = []
@@ -54,18 +91,10 @@ class Browser:
             self.ask(f"{domain}.enable")
 
     def ask(self, method: str, **params: Any) -> dict[str, Any]:
-        self._count += 1
-        request = {"id": self._count, "method": method, "params": params, **self.session}
-        self._to.write(json.dumps(request).encode() + b"\0")
-        self._to.flush()
-        while True:
-            answer = json.loads(self._message())
-            self._hear(answer.get("method", ""), answer.get("params", {}))
-            if answer.get("id") == self._count:
-                assert "error" not in answer, answer
-                return answer["result"]
+        return self._chromium.ask(method, self, **params)
 
-    def _hear(self, event: str, told: dict[str, Any]) -> None:
+    def hear(self, event: str, told: dict[str, Any]) -> None:
+        """Note what the page asks of a network, and what it says."""
         if event == "Network.requestWillBeSent":
             self.requests.append(told["request"]["url"])
         elif event == "Runtime.exceptionThrown":
@@ -75,14 +104,6 @@ class Browser:
             self.complaints.append(str(told["args"]))
         elif event == "Log.entryAdded" and told["entry"]["level"] in ("error", "warning"):
             self.complaints.append(told["entry"]["text"])
-
-    def _message(self) -> bytes:
-        while (end := self._unread.find(b"\0")) < 0:
-            more = self._back.read(2**20)  # what there is; a picture has megabytes
-            assert more, "Chromium has ended"
-            self._unread += more
-        whole, self._unread = self._unread[:end], self._unread[end + 1 :]
-        return whole
 
     def open(self, address: str, width: int = 1280, height: int = 900, dark: bool = False) -> None:
         self.ask(
@@ -137,8 +158,8 @@ def picture_of_failure(one: Browser, folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def browser(folder: Path) -> Iterator[Browser]:
-    """A browser with an empty profile in a folder; where the block fails, `failure.png` there shows why."""
+def chromium(folder: Path) -> Iterator[Chromium]:
+    """A Chromium with an empty profile in a folder."""
     assert PROGRAM is not None
     (their_in, to), (back, their_out) = os.pipe(), os.pipe()
     options = (
@@ -153,8 +174,13 @@ def browser(folder: Path) -> Iterator[Browser]:
         os.close(their_out)
         with os.fdopen(to, "wb") as writer, os.fdopen(back, "rb", buffering=0) as reader:
             try:
-                one = Browser(writer, reader)
-                with picture_of_failure(one, folder):
-                    yield one
+                yield Chromium(writer, reader)
             finally:
                 process.terminate()
+
+
+@contextmanager
+def browser(folder: Path) -> Iterator[Browser]:
+    """One tab of a Chromium of its own."""
+    with chromium(folder) as started, started.tab(folder) as one:
+        yield one

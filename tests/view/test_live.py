@@ -23,7 +23,7 @@ from amhe_cli.estimation.online.horizon import MovingHorizon
 from amhe_cli.view.live import Broadcast, Happening, StatesShown, WindowsShown
 from amhe_cli.view.page import Heading
 from amhe_cli.view.scene import scene_of
-from tests.view.browser import browser, needs_chromium
+from tests.view.browser import Browser
 
 
 def messages(address: str, count: int) -> list[dict]:
@@ -105,33 +105,32 @@ def test_a_watched_run_finds_the_same(tmp_path: Path, capsys) -> None:
 
 
 @pytest.mark.medium
-@needs_chromium
-def test_the_page_follows_what_happens(tmp_path: Path) -> None:
+def test_the_page_follows_what_happens(tab: Browser) -> None:
     scene = scene_of(amhe.System.load("pendulum"))
     page = StatesShown(scene, ["guess"], [TimeCurve("load", "parameters", "kg")], Heading("live"))
-    with page, browser(tmp_path) as one:
-        one.open(page.server.address)
+    with page:
+        tab.open(page.server.address)
         for i in range(50):
             state = np.array([0.02 * i])
             forces, traces = np.array([[0.0, 0, 0, 0, 0, i]]), np.full((3, 4, 3), 0.1)
             numbers = {"load": (0.5, 0.4, 0.6)}
             page.put(Happening(0.04 * i, [state, state + 0.3], numbers, i == 20, forces, traces))
-        one.run(
+        tab.run(
             "new Promise((done) => { const wait = () => player.end > 1.9 && player.now === player.end "
             "? done() : setTimeout(wait, 20); wait(); })"
         )
-        assert one.run("player.recording.ghosts[0].count") == 50
-        assert one.run("player.recording.curves.get('load').upper.length") == 50
-        turned = one.run("Math.abs(player.recording.track.at(1.96)[5])")
+        assert tab.run("player.recording.ghosts[0].count") == 50
+        assert tab.run("player.recording.curves.get('load').upper.length") == 50
+        turned = tab.run("Math.abs(player.recording.track.at(1.96)[5])")
         assert turned == pytest.approx(np.sin(0.5 * 0.02 * 49), abs=1e-3)
-        assert one.run("player.drawn(null).forces[5]") == 49.0
-        assert one.run("[player.drawn(null).traces.length, player.drawn(null).points]") == [36, 4]
-        assert not one.run("document.getElementById('forces').parentElement.hidden")
-        one.run("document.getElementById('forces').click()")
-        assert one.run("player.drawn(null).forces") is None
-        one.run("player.seek(0); document.getElementById('next').click()")
-        assert one.run("player.now") == pytest.approx(0.8)
-    assert one.requests[:2] == [page.server.address, f"{page.server.address}stream"]
+        assert tab.run("player.drawn(null).forces[5]") == 49.0
+        assert tab.run("[player.drawn(null).traces.length, player.drawn(null).points]") == [36, 4]
+        assert not tab.run("document.getElementById('forces').parentElement.hidden")
+        tab.run("document.getElementById('forces').click()")
+        assert tab.run("player.drawn(null).forces") is None
+        tab.run("player.seek(0); document.getElementById('next').click()")
+        assert tab.run("player.now") == pytest.approx(0.8)
+    assert tab.requests[:2] == [page.server.address, f"{page.server.address}stream"]
 
 
 @pytest.mark.medium

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 import amhe_cli as amhe
 from amhe_cli.view.open import view_of
 from amhe_cli.view.server import PageServer
-from tests.view.browser import PIXELS, Browser, browser, needs_chromium
+from tests.view.browser import PIXELS, Browser, Chromium
 
 FRAMES = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(player.now))))"
 
@@ -40,26 +39,15 @@ def page(pendulum_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture(scope="module")
-def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with browser(tmp_path_factory.mktemp("profile")) as one:
-        yield one
-
-
 @pytest.fixture
-def opened(page: Path, chromium: Browser, tmp_path: Path) -> Iterator[Browser]:
-    chromium.requests.clear()
-    chromium.cut_off()
-    chromium.open(page.as_uri())
-    yield chromium
+def opened(page: Path, tab: Browser) -> Browser:
+    tab.cut_off()
+    tab.open(page.as_uri())
+    return tab
 
 
-pytestmark = needs_chromium
-
-
-@pytest.mark.medium
-def test_a_failure_leaves_a_picture(tmp_path: Path) -> None:
-    with pytest.raises(ZeroDivisionError), browser(tmp_path) as one:
+def test_a_failure_leaves_a_picture(chromium: Chromium, tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError), chromium.tab(tmp_path) as one:
         one.open("about:blank")
         _ = 1 / 0
     assert (tmp_path / "failure.png").read_bytes().startswith(b"\x89PNG")
@@ -243,28 +231,26 @@ def test_colours_of_distance_mean_the_same_in_every_clip(opened: Browser) -> Non
 
 
 def test_a_served_page_predicts_again_when_a_slider_is_dragged(
-    page: Path, chromium: Browser, pendulum_log: Path, tmp_path_factory: pytest.TempPathFactory
+    page: Path, tab: Browser, pendulum_log: Path
 ) -> None:
     system = amhe.System.load("pendulum")
     view = view_of(system, [amhe.read_log(pendulum_log, system)])
-    chromium.ask("Network.emulateNetworkConditions", offline=False, latency=0, downloadThroughput=-1,
-                 uploadThroughput=-1)  # fmt: skip
     with PageServer(view.page(asks=True), answer=view.answer) as server:
-        chromium.open(server.address)
-        chromium.run(
+        tab.open(server.address)
+        tab.run(
             "(() => { const one = document.querySelector('.slide input'); one.value = 0.9; "
             "one.dispatchEvent(new Event('input')); })()"
         )
-        cost = chromium.run(
+        cost = tab.run(
             "new Promise((done) => { const wait = () => player.take.yours ? done(player.take.yours.cost) : "
             "setTimeout(wait, 20); wait(); })"
         )
-        mass = chromium.run("player.sliders.get('load_mass')()")
+        mass = tab.run("player.sliders.get('load_mass')()")
     values = {name: str(value) for name, value in system.space.named(system.space.nominal).items()}
     assert mass > 1.2 * float(values["load_mass"])
     asked = view.answer({"take": "0", **values, "load_mass": str(mass)})
     assert cost == pytest.approx(asked["cost"])
-    assert "yours: cost" in chromium.run("document.getElementById('tried').textContent")
+    assert "yours: cost" in tab.run("document.getElementById('tried').textContent")
 
 
 @pytest.mark.medium

@@ -8,15 +8,12 @@ from __future__ import annotations
 
 import os
 import re
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
-from itertools import product
 from pathlib import Path
 from threading import Thread
 
@@ -40,7 +37,7 @@ from amhe_cli.view.live import WindowsShown
 from tests.report.synthetic import identification
 from tests.report.test_identification import page as report_of
 from tests.study.cells_at_play import result
-from tests.view.browser import Browser, browser, needs_chromium
+from tests.view.browser import Browser, Chromium
 
 ROOT = Path(__file__).parents[2]
 FAULTS = Path(__file__).with_name("faults.js").read_text(encoding="utf-8")
@@ -133,12 +130,9 @@ def verdicts(folder: Path) -> Iterator[Sequence[str]]:
 
 
 @contextmanager
-def site(folder: Path) -> Iterator[Sequence[str]]:
+def served(folder: Path) -> Iterator[Sequence[str]]:
     """Pages of the documentation, from a server."""
-    pytest.importorskip("mkdocs")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "-d", str(folder / "site")]
-    subprocess.run(command, cwd=ROOT, env={**os.environ, "NO_MKDOCS_2_WARNING": "1"}, check=True)
-    serves = partial(SimpleHTTPRequestHandler, directory=folder / "site")
+    serves = partial(SimpleHTTPRequestHandler, directory=folder)
     with ThreadingHTTPServer(("127.0.0.1", 0), serves) as server:
         Thread(target=server.serve_forever, daemon=True).start()
         address = f"http://127.0.0.1:{server.server_port}"
@@ -175,44 +169,39 @@ KINDS: dict[str, Maker] = {
     "eval": study,
     "watch": watch,
     "notebook": notebook,
-    "site": site,
+    "site": served,
 }
 
 
-@pytest.fixture(scope="module")
-def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with browser(tmp_path_factory.mktemp("profile")) as one:
-        # Pages remember the colours that they were last shown in. Each view starts as a new reader's: a storage
-        # that is emptied from outside may still stand in the page's own process.
-        forget = "try { localStorage.clear() } catch { /* about:blank has none */ }"
-        one.ask("Page.addScriptToEvaluateOnNewDocument", source=forget)
-        yield one
+def views(pages: Sequence[str]) -> Iterator[tuple[str, int, bool]]:
+    """Each page wide and narrow, light and dark, in two views; of pages side by side, the other way round."""
+    for number, page in enumerate(pages):
+        yield from ((page, width, (width == 390) != number % 2) for width in (1280, 390))
 
 
 @pytest.mark.slow
-@needs_chromium
 @pytest.mark.parametrize("kind", KINDS)
-def test_nothing_to_stumble_over(kind: str, chromium: Browser, tmp_path: Path) -> None:
-    with KINDS[kind](tmp_path) as pages:
-        for page, width, dark in product(pages, (1280, 390), (False, True)):
+def test_nothing_to_stumble_over(
+    kind: str, chromium: Chromium, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    with KINDS[kind](request.getfixturevalue("site") if kind == "site" else tmp_path) as pages:
+        for page, width, dark in views(pages):
             name = (
                 f"{Path(page).stem if page.endswith('.html') else kind}-{width}-{'dark' if dark else 'light'}"
             )
-            chromium.open("about:blank")
-            chromium.ask("Storage.clearDataForOrigin", origin="*", storageTypes="local_storage")
-            chromium.complaints.clear()
-            chromium.open(page if "://" in page else (tmp_path / page).as_uri(), width, 900, dark)
-            chromium.run(SETTLED)
-            until = time.monotonic() + 10.0
-            while time.monotonic() < until:  # a script may choose the colours, on a busy machine late
-                back = re.findall(r"\d+", chromium.run("getComputedStyle(document.body).backgroundColor"))
-                if (int(back[0]) < 128) is dark:
-                    break
-                chromium.run(SETTLED)
-            found = [*chromium.run(FAULTS), *chromium.complaints]
-            found += [f"the background is {back}"] * ((int(back[0]) < 128) is not dark)
-            if found or "PICTURES" in os.environ:
-                chromium.picture(tmp_path / f"{name}.png", whole=True)
+            with chromium.tab(tmp_path) as tab:  # a new reader's: colours are remembered
+                tab.open(page if "://" in page else (tmp_path / page).as_uri(), width, 900, dark)
+                tab.run(SETTLED)
+                until = time.monotonic() + 10.0
+                while time.monotonic() < until:  # a script may choose the colours, on a busy machine late
+                    back = re.findall(r"\d+", tab.run("getComputedStyle(document.body).backgroundColor"))
+                    if (int(back[0]) < 128) is dark:
+                        break
+                    tab.run(SETTLED)
+                found = [*tab.run(FAULTS), *tab.complaints]
+                found += [f"the background is {back}"] * ((int(back[0]) < 128) is not dark)
+                if found or "PICTURES" in os.environ:
+                    tab.picture(tmp_path / f"{name}.png", whole=True)
             assert found == [], f"see {tmp_path / name}.png"
 
 
@@ -236,12 +225,11 @@ WRONG = {
 
 
 @pytest.mark.medium
-@needs_chromium
-def test_each_fault_is_seen(chromium: Browser, tmp_path: Path) -> None:
+def test_each_fault_is_seen(tab: Browser, tmp_path: Path) -> None:
     for html, told in WRONG.items():
         (tmp_path / "wrong.html").write_text(PLAIN.format(html), encoding="utf-8")
-        chromium.complaints.clear()
-        chromium.open((tmp_path / "wrong.html").as_uri(), 390)
-        chromium.run(SETTLED)
-        found = [*chromium.run(FAULTS), *(line.partition("\n")[0] for line in chromium.complaints)]
+        tab.complaints.clear()
+        tab.open((tmp_path / "wrong.html").as_uri(), 390)
+        tab.run(SETTLED)
+        found = [*tab.run(FAULTS), *(line.partition("\n")[0] for line in tab.complaints)]
         assert found == ([told] if told else []), html

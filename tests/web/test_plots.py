@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import pytest
 
 from amhe_cli.report.page import Section, page
 from amhe_cli.web.plots import Curve, Mark, Panel, color_of, figure, thinned
-from tests.view.browser import Browser, browser, needs_chromium
+from tests.view.browser import Browser
 from tests.web.figures import panels
 
 
@@ -44,14 +43,8 @@ def test_no_panels_leave_nothing() -> None:
     assert figure([]) == ""
 
 
-@pytest.fixture(scope="module")
-def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with browser(tmp_path_factory.mktemp("profile")) as one:
-        yield one
-
-
 @pytest.fixture
-def opened(chromium: Browser, tmp_path: Path) -> Browser:
+def opened(tab: Browser, tmp_path: Path) -> Browser:
     time = np.linspace(0.0, 2.0, 21)
     lines = [
         Curve(time, 0.5 * time, "before", "before", "dashed", leads=False),
@@ -68,9 +61,9 @@ def opened(chromium: Browser, tmp_path: Path) -> Browser:
         Panel("high", [Curve(time, 100.0 + time)]),
     ]
     (tmp_path / "page.html").write_text(html(*both), encoding="utf-8")
-    chromium.open((tmp_path / "page.html").as_uri())
-    chromium.run("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
-    return chromium
+    tab.open((tmp_path / "page.html").as_uri())
+    tab.run("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    return tab
 
 
 def pointed(one: Browser, panel: int, x: float, kind: str = "pointermove") -> Any:
@@ -87,7 +80,6 @@ def pointed(one: Browser, panel: int, x: float, kind: str = "pointermove") -> An
 pytestmark = pytest.mark.medium
 
 
-@needs_chromium
 def test_the_pointer_reads_the_nearest_sample_of_each_line_and_their_difference(opened: Browser) -> None:
     first, _, far, _ = pointed(opened, 0, 0.52)  # measured at 0, 0.5, 1, 1.5 and 2
     assert first == "1.00 s0.501.001.10Δ 0.10"
@@ -95,20 +87,17 @@ def test_the_pointer_reads_the_nearest_sample_of_each_line_and_their_difference(
     assert opened.run("document.querySelectorAll('.panel circle').length") == 5
 
 
-@needs_chromium
 def test_panels_over_no_time_read_the_sample_that_is_nearest_to_the_pointer(opened: Browser) -> None:
     texts = pointed(opened, 1, 0.98)
     assert texts[0] == "" and texts[1].startswith("1.90 m/s3.6")
 
 
-@needs_chromium
 def test_what_runs_away_leaves_the_picture_and_flattens_nothing(opened: Browser) -> None:
     top = opened.run("Math.max(...[...document.querySelectorAll('.panel')[2].querySelectorAll('.axes text')]"
                      ".map((one) => Number(one.textContent)).filter(Number.isFinite))")  # fmt: skip
     assert 2.0 <= top < 10.0
 
 
-@needs_chromium
 def test_an_axis_holds_its_lines_and_marks_and_nothing_else(opened: Browser) -> None:
     texts = "document.querySelectorAll('.panel')[3].querySelectorAll('.axes text')"
     numbers = opened.run(f"[...{texts}].map((one) => Number(one.textContent)).filter(Number.isFinite)")
@@ -117,7 +106,6 @@ def test_an_axis_holds_its_lines_and_marks_and_nothing_else(opened: Browser) -> 
     assert numbers.count(0.0) <= 1, "only the time begins at 0"
 
 
-@needs_chromium
 def test_dragging_zooms_and_a_double_click_shows_all_again(opened: Browser) -> None:
     texts = "document.querySelector('.panel svg').querySelectorAll('.axes text')"
     ends = f"[...{texts}].map((one) => one.textContent)"
@@ -131,7 +119,6 @@ def test_dragging_zooms_and_a_double_click_shows_all_again(opened: Browser) -> N
     assert opened.run(ends) == whole
 
 
-@needs_chromium
 def test_a_legend_says_what_each_shape_is(opened: Browser) -> None:
     texts, shapes = (
         opened.run(f"[...document.querySelectorAll('.legend span')].map((one) => one.{what})")
@@ -141,7 +128,6 @@ def test_a_legend_says_what_each_shape_is(opened: Browser) -> None:
     assert shapes == ["dashed", "line", "dots", "patch", "dots"]
 
 
-@needs_chromium
 def test_an_axis_has_at_least_two_numbers_and_never_too_many(opened: Browser) -> None:
     counts = opened.run(
         "(() => { const found = []; for (let high = 1; high < 100; high *= 1.01) "

@@ -31,7 +31,7 @@ from amhe_cli.robots.go1.link.packets import (
     pressing,
     seal,
 )
-from tests.robots.go1.link.puppet import a_state
+from tests.robots.go1.stand_ins import a_state
 
 FIELDS = {"position": 1e6, "velocity": 1e4, "torque": 127.9, "kp": 1023.0, "kd": 2047.0}
 #: Counts of what is sent as a whole number.

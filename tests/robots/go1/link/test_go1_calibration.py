@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.rotations import exp, multiply
-from amhe_cli.robots.go1.emulator.emulator import EmulatedBody
+from amhe_cli.robots.go1.emulator import EmulatedBody
 from amhe_cli.robots.go1.kinematics import HOME, HOME_HEIGHT
 from amhe_cli.robots.go1.link.calibration import Calibration, average, check_pivot, offset_of, trunk_height
 from amhe_cli.robots.go1.link.mail import SAMPLE

@@ -28,9 +28,8 @@ from amhe_cli.robots.go1.model import Box
 from amhe_cli.robots.go1.poses.feed import PoseFeed
 from amhe_cli.robots.go1.poses.sources import PoseError
 from amhe_cli.robots.go1.settings import Go1Settings, deviations
-from tests.robots.go1.link.puppet import Puppet, damps
 from tests.robots.go1.link.test_link import QUICK
-from tests.robots.go1.poses.streaming import TRUNK, Stage, free_port
+from tests.robots.go1.stand_ins import TRUNK, Puppet, Stage, damps, free_port
 
 PERIOD = 0.02
 BOX = np.array([0.6, 0.0, 0.15])

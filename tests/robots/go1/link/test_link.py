@@ -31,7 +31,7 @@ from amhe_cli.robots.go1.link.packets import SERVO, LinkError, decode_state, enc
 from amhe_cli.robots.go1.link.process import SENDER, Child, Clock, Pipe, take_priority, ticks_ahead
 from amhe_cli.robots.go1.link.sender import RobotSocket, Sender, Share, connected
 from amhe_cli.robots.go1.settings import Go1Settings
-from tests.robots.go1.link.puppet import FOLDED, Puppet, a_state, damps
+from tests.robots.go1.stand_ins import FOLDED, Puppet, a_state, damps
 
 ROOT = Path(__file__).parents[4]
 #: As fast as the settings allow; the machine under the tests is slow, so be patient with states.
@@ -317,7 +317,7 @@ def test_a_sender_that_spins_on_the_only_core_is_stood_in_for(
         pytest.skip("no real-time priority is granted here: a sender that spins stops nobody else")
     monkeypatch.setattr(watch, "_DAMP", 0.5)
     monkeypatch.setattr(
-        link_module, "Child", lambda _, *settings: Child("tests.robots.go1.link.spinning", *settings)
+        link_module, "Child", lambda _, *settings: Child("tests.robots.go1.stand_ins", *settings)
     )
     trips = QUICK.trips.model_copy(update={"report_age": 0.5})
     cores = os.sched_getaffinity(0)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from amhe_cli.robots.go1.emulator.ports import Faults
+from amhe_cli.robots.go1.emulator import Faults
 from amhe_cli.robots.go1.kinematics import HOME, TORQUE_LIMIT
 from amhe_cli.robots.go1.link.machine import TRIPS, Machine
 from amhe_cli.robots.go1.link.mail import HIGHEST, LOWEST, Inbox, Phase, Sent, Targets, allowed
@@ -19,7 +19,7 @@ from amhe_cli.robots.go1.link.packets import SERVO, MotorCommand, pressing
 from amhe_cli.robots.go1.link.sender import next_tick
 from amhe_cli.robots.go1.model import layout, planner_model
 from amhe_cli.robots.go1.settings import Go1Settings, TripSettings
-from tests.robots.go1.link.puppet import FOLDED, a_state
+from tests.robots.go1.stand_ins import FOLDED, a_state
 
 TICK = 0.002
 

@@ -18,7 +18,7 @@ from unittest.mock import Mock
 import pytest
 
 from amhe_cli.core.errors import AmheError
-from amhe_cli.robots.go1.emulator.emulator import Emulator, EmulatorOptions
+from amhe_cli.robots.go1.emulator import Emulator, EmulatorOptions
 from amhe_cli.robots.go1.link.calibration import Calibration
 from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.open import pace
@@ -37,7 +37,7 @@ from amhe_cli.robots.go1.model import Box
 from amhe_cli.robots.go1.poses.feed import PoseFeed
 from amhe_cli.robots.go1.settings import Go1Settings
 from amhe_cli.robots.go1.tasks import find_task
-from tests.robots.go1.poses.streaming import free_port
+from tests.robots.go1.stand_ins import free_port
 
 
 def cycles(ms: float, rollouts: int) -> list:
@@ -162,7 +162,7 @@ def test_an_emulator_that_cannot_open_gives_its_ports_back(
         other.bind(("127.0.0.1", 0))
         mocap = other.getsockname()[1] if step == "cameras" else 0
         if step == "body":
-            monkeypatch.setattr("amhe_cli.robots.go1.emulator.emulator.EmulatedBody", fail)
+            monkeypatch.setattr("amhe_cli.robots.go1.emulator.EmulatedBody", fail)
         with pytest.raises(AmheError, match="cannot be had|no body") as raised:
             Emulator(EmulatorOptions(find_task("t1"), port=port, mocap_port=mocap))
         assert not taken(port), raised.value

@@ -14,8 +14,16 @@ import pytest
 
 from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.robots.go1.behaviours.gait import Gait, walk
-from amhe_cli.robots.go1.emulator.emulator import STEP, EmulatedBody, Emulator, EmulatorOptions
-from amhe_cli.robots.go1.emulator.ports import Faults, Motive, RobotPort, parse_faults
+from amhe_cli.robots.go1.emulator import (
+    STEP,
+    EmulatedBody,
+    Emulator,
+    EmulatorOptions,
+    Faults,
+    Motive,
+    RobotPort,
+    parse_faults,
+)
 from amhe_cli.robots.go1.kinematics import HOME, TORQUE_LIMIT
 from amhe_cli.robots.go1.link.machine import Machine, tilt
 from amhe_cli.robots.go1.link.mail import Inbox, Phase, Targets
@@ -30,8 +38,7 @@ from amhe_cli.robots.go1.link.packets import (
 from amhe_cli.robots.go1.poses.sources import NatNet, PoseError
 from amhe_cli.robots.go1.settings import Go1Settings
 from amhe_cli.robots.go1.tasks import find_task
-from tests.robots.go1.emulator.emulating import emulating
-from tests.robots.go1.link.puppet import a_state
+from tests.robots.go1.stand_ins import a_state, emulating
 
 T1 = find_task("t1")
 FOLDED = np.tile([0.0, 1.2, -2.6], 4)

@@ -1,0 +1,241 @@
+"""Stand-ins for a Go1 and its cameras: a puppet, a stage, an emulator of its own, and a sender that spins."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from amhe_cli.core.rotations import exp, multiply, rotate
+from amhe_cli.robots.go1.kinematics import HOME
+from amhe_cli.robots.go1.link import sender
+from amhe_cli.robots.go1.link.packets import (
+    DAMPED,
+    SERVO,
+    MotorCommand,
+    RobotState,
+    decode_command,
+    encode_state,
+)
+from amhe_cli.robots.go1.link.process import Clock
+from amhe_cli.robots.go1.poses.sources import pose_datagram
+
+ROOT = Path(__file__).parents[3]
+
+#: Legs of a robot that lies, calves folded.
+FOLDED = np.tile([0.0, 1.25, -2.75], 4)
+
+
+def a_state(**changes: Any) -> RobotState:
+    """A robot that stands still."""
+    return replace(
+        RobotState(
+            tick=1, quaternion=np.array([1.0, 0, 0, 0]), gyro=np.zeros(3),
+            accelerometer=np.array([0, 0, 9.81]), modes=np.full(12, SERVO),
+            joints=np.array(HOME), joint_rates=np.zeros(12), torques=np.zeros(12),
+            temperatures=np.full(12, 30.0), charge=80,
+        ),
+        **changes,
+    )  # fmt: skip
+
+
+class Puppet:
+    """Answers the last sender with 1000 states a second; use it as a context manager.
+
+    Attributes:
+        received: (time [s], command), in order.
+        change: Applied to every state that is sent.
+        mangle: Applied to every datagram; None keeps it back.
+    """
+
+    def __init__(self) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.setblocking(False)
+        self.port = self._socket.getsockname()[1]
+        self.received: list[tuple[float, MotorCommand]] = []
+        self.change: Callable[[RobotState], RobotState] = lambda sent: sent
+        self.mangle: Callable[[bytes], bytes | None] = lambda packet: packet
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+
+    def __enter__(self) -> Puppet:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self._stop.set()
+        self._thread.join()
+        self._socket.close()
+
+    def wait(self, test: Callable[[MotorCommand], bool], patience: float = 15.0) -> float:
+        """When the first command of a kind came [s], from those that come from now on."""
+        seen, end = len(self.received), time.monotonic() + patience
+        while time.monotonic() < end:
+            for when, got in self.received[seen:]:
+                seen += 1
+                if test(got):
+                    return when
+            time.sleep(0.001)
+        raise AssertionError("the command never came")
+
+    def _serve(self) -> None:
+        begun, peer, joints, mode, ticks = time.monotonic(), None, np.array(FOLDED), DAMPED, 1
+        while not self._stop.wait(0.0005):
+            while True:
+                try:
+                    datagram, peer = self._socket.recvfrom(2048)
+                except OSError:
+                    break
+                got = decode_command(datagram)
+                self.received.append((time.monotonic(), got))
+                mode = got.mode
+                if got.kp.max() > 0:
+                    joints = np.array(got.position)
+            done = int(1e3 * (time.monotonic() - begun))
+            for tick in range(ticks, done):
+                sent = self.change(replace(a_state(tick=tick, joints=joints), modes=np.full(12, mode)))
+                packet = self.mangle(encode_state(sent))
+                if peer and packet is not None:
+                    self._socket.sendto(packet, peer)
+            ticks = max(ticks, done)
+
+
+def damps(got: MotorCommand) -> bool:
+    """Whether a command only damps."""
+    return got.kp.max() == 0.0 and got.kd.min() > 0.0
+
+
+_WELL, _LONG = 50, 5.0
+
+
+class SpinningSender(sender.Sender):
+    """A sender that computes without a pause, much longer than it may, once it has sent for a while."""
+
+    _driven = 0
+
+    def _send(self, command: MotorCommand, now: float) -> None:
+        super()._send(command, now)
+        self._driven += command.kp.max() > 0.0
+        end = time.monotonic() + _LONG
+        while self._driven > _WELL and time.monotonic() < end:
+            pass
+
+
+def main() -> None:
+    """Send as `sender.main`, by the one that spins."""
+    sender.Sender = SpinningSender  # type: ignore[misc]
+    sender.main()
+
+
+#: A robot that lies somewhere, headed somewhere.
+TRUNK = (np.array([2.0, -1.0, 0.09]), exp(np.array([0.0, 0.0, 0.7])))
+
+
+def free_port() -> int:
+    """A UDP port that nobody has."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+class Stage:
+    """Robot and box before cameras; use it as a context manager.
+
+    Args:
+        port: Where to send poses.
+        box: Its place as the robot sees it [m].
+        turn: Of the cameras' frame.
+        names: Of trunk and box.
+    """
+
+    def __init__(
+        self, port: int, box: tuple[float, float, float] = (0.6, 0.0, 0.15),
+        turn: np.ndarray | None = None, names: tuple[str, str] = ("go1", "box"),
+    ) -> None:  # fmt: skip
+        self.trunk, self.silent = TRUNK, False
+        self.extra: list[bytes] = []
+        self.off = 0
+        floor = TRUNK[0] * [1.0, 1.0, 0.0]
+        poses = [TRUNK, (floor + rotate(TRUNK[1], np.array(box)), TRUNK[1])]
+        if turn is not None:
+            poses = [(rotate(turn, place), multiply(turn, pose)) for place, pose in poses]
+        self._bodies = list(zip(names, poses, strict=True))
+        self._to, self._stop = ("127.0.0.1", port), threading.Event()
+        self._thread = threading.Thread(target=self._send)
+
+    def __enter__(self) -> Stage:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+    def move_box(self, by: tuple[float, float, float]) -> None:
+        """In the cameras' frame [m]."""
+        name, (place, turn) = self._bodies[1]
+        self._bodies[1] = name, (place + by, turn)
+
+    def shift_box(self, frames: int) -> None:
+        """Show it 0.5 m off to the side in the next frames."""
+        self.off = frames
+
+    def _send(self) -> None:
+        clock = Clock()
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+            while not self._stop.wait(0.01):
+                now = clock.now() - 77.0
+                while self.extra:
+                    client.sendto(self.extra.pop(), self._to)
+                shift = np.array([0.0, 0.5, 0.0]) if self.off > 0 else np.zeros(3)
+                self.off -= 1
+                for number, (name, (true, pose)) in enumerate(self._bodies):
+                    place = true + number * shift
+                    if not self.silent:
+                        client.sendto(pose_datagram(name, now, place, pose), self._to)
+
+
+@dataclass
+class Emulated:
+    """Where an emulator in a process of its own is to be found."""
+
+    port: int
+    mocap_port: int
+    process: subprocess.Popen[str]
+    stderr: str = ""
+
+
+@contextmanager
+def emulating(*arguments: str) -> Iterator[Emulated]:
+    """Run `amhe emulate` until the end of the block; its stderr is in `stderr` then."""
+    command = [sys.executable, "-m", "amhe_cli", "emulate", "--port", "0"]
+    if "--mocap-port" not in arguments:
+        command += ["--mocap-port", "0"]
+    with subprocess.Popen(
+        [*command, *arguments], stderr=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)}
+    ) as process:
+        assert process.stderr is not None
+        try:
+            first = process.stderr.readline()
+            ports = [int(port) for port in re.findall(r"127\.0\.0\.1:(\d+)", first)]
+            assert ports, first
+            emulated = Emulated(ports[0], ports[-1], process)
+            yield emulated
+            process.send_signal(signal.SIGINT)
+            emulated.stderr = process.stderr.read()
+            process.wait(10)
+        finally:
+            process.kill()
