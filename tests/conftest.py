@@ -11,7 +11,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import hypothesis
 import mujoco
@@ -95,11 +95,12 @@ def tab(chromium: Chromium, tmp_path: Path) -> Iterator[Browser]:
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Function) -> Iterator[None]:
     """A test that fails with a page open leaves a picture of it in its folder."""
-    if (shown := item.funcargs.get("tab")) is None:
+    given: dict[str, Any] = item.funcargs
+    if "tab" not in given:
         return (yield)
     from tests.view.browser import picture_of_failure
 
-    with picture_of_failure(shown, item.funcargs["tmp_path"]):
+    with picture_of_failure(given["tab"], given["tmp_path"]):
         return (yield)
 
 
