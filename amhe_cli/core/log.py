@@ -47,6 +47,7 @@ class Log(Displayed):
             it, 0 at the start of the line and 1 at its end.
         held_out: The log is only used to validate.
         reading: Arguments of `read_log` that it was read with, as plain values; {}: it was made in memory.
+        units: Unit of series whose joints turn or slide: one for all columns, or that of each.
     """
 
     dt: float
@@ -60,9 +61,10 @@ class Log(Displayed):
     trend: Mapping[str, float] = field(default_factory=dict)
     held_out: bool = False
     reading: Mapping[str, Any] = field(default_factory=dict)
+    units: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("series", "metadata", "known", "own", "trend", "reading"):
+        for name in ("series", "metadata", "known", "own", "trend", "reading", "units"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def __repr__(self) -> str:
@@ -99,7 +101,7 @@ class Log(Displayed):
                 not finite or not increasing; or the signals do not overlap in time.
         """
         series, start_ns = series_of(arrays, system, name)
-        log = cls(system.dt, series, name, start_ns)
+        log = cls(system.dt, series, name, start_ns, units=system.units)
         warn_of(log, system)
         return log
 

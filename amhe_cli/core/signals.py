@@ -110,6 +110,11 @@ class Measured(Described, Protocol):
         ...
 
     @property
+    def units(self) -> Mapping[str, tuple[str, ...]]:
+        """Unit of series whose joints turn or slide: one for all columns, or that of each."""
+        ...
+
+    @property
     def dt(self) -> float:
         """Step of the clock [s] that logs are read onto."""
         ...

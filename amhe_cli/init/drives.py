@@ -55,6 +55,8 @@ _SIDES = {
     *("fl", "fr", "rl", "rr", "lf", "rf", "lr", "lh", "rh", "hl", "hr", "bl", "br", "l", "r"),
     *("left", "right", "front", "rear", "hind", "back"),
 }
+#: Where a servo whose rotor nobody gives is taken to swing [Hz].
+SWING = 10.0
 #: What is unknown of every joint: its word in `set:`, its field of MjModel, and what it means.
 KINDS = (
     ("damping", "dof_damping", "viscous: torque per speed"),
@@ -89,17 +91,29 @@ def joint_parameters(
     for name, alike in groups.items():
         of = f"of joint {alike[0]}" if len(alike) == 1 else f"of {len(alike)} joints alike"
         dofs = [int(model.joint(joint).dofadr[0]) for joint in alike]
+        rotor = _rotor(model, dofs)
+        added = 0.0 if model.dof_armature[dofs[0]] > 0.0 else rotor  # dof_M0 has what the model gives
         for kind, field, meaning in KINDS:
             value = float(getattr(model, field)[dofs[0]])
-            # only the order of magnitude: damping that stops a motion in a second, friction worth 1 rad/s^2,
-            # a tenth of the inertia in the rotor
-            usual = (0.1 if kind == "armature" else 1.0) * float(np.median(model.dof_M0[dofs]))
+            # only the order of magnitude: damping that stops a motion in a second, friction worth 1 rad/s^2
+            usual = rotor if kind == "armature" else float(np.median(model.dof_M0[dofs])) + added
             targets = [{"joint": joint, "set": kind} for joint in alike]
             entry = entry_of(value if value > 0.0 else usual, not value > 0.0, targets)
             source, note = "model", ""
             if value <= 0.0:
                 source, note = "guess", "; the model has none: of the size of the joint's inertia"
             yield Guess(f"{name}_{kind}", entry, f"{meaning}, {of}{note}", source=source)
+
+
+def _rotor(model: mujoco.MjModel, dofs: Sequence[int]) -> float:
+    """Armature of joints that a model gives none [SI]: that with which their servo swings at SWING.
+
+    A geared servo's rotor is most of its inertia, however light the link: a tenth of the link's is the least.
+    """
+    at = np.isin(model.actuator_trnid[:, 0], model.dof_jntid[list(dofs)]) & (model.actuator_trntype <= 1)
+    stiffness = -model.actuator_biasprm[at, 1] * model.actuator_gear[at, 0] ** 2
+    least = 0.1 * float(np.median(model.dof_M0[list(dofs)]))
+    return max(least, *(stiffness / (2.0 * np.pi * SWING) ** 2).tolist()) if at.any() else least
 
 
 def _groups(spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Sequence[str]) -> dict[str, list[str]]:

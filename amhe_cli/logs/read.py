@@ -89,7 +89,7 @@ def read_log(
         log = read_signals(one.path, signals, system.dt, settings, start=first, end=last, msg_path=folder)
         warn_of(log, system)
         log = log.with_(known=one.known, own=one.own, held_out=one.held_out)
-        logs.append(replace(log, reading={"path": str(path), **how}))
+        logs.append(replace(log, reading={"path": str(path), **how}, units=system.units))
     if trend := list(dict.fromkeys(name for _, one in found for name in one.trend)):
         logs = trended(logs, trend)
     return logs[0] if isinstance(paths, str | Path) else logs

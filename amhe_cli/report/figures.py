@@ -41,7 +41,7 @@ def fit_figure(fits: Sequence[Fit], large: bool = False) -> Markup:
 
 
 def _overlay(fit: Fit, column: int, height: int = 150) -> Panel:
-    factor, unit = shown_unit(fit.unit)
+    factor, unit = shown_unit(fit.units[column % len(fit.units)])
     rows = evenly(len(fit.time))  # the same of all lines: the pointer shows their difference
     time = fit.time[rows]
     measured, before, after = (
@@ -60,7 +60,7 @@ def _overlay(fit: Fit, column: int, height: int = 150) -> Panel:
 
 
 def _rest(fit: Fit, column: int) -> Panel:
-    factor, unit = shown_unit(fit.unit)
+    factor, unit = shown_unit(fit.units[column % len(fit.units)])
     error, noise = factor * (fit.measured - fit.identified)[:, column], factor * fit.noise
     line = Curve(fit.time, error, "what is left", "after", "dots")
     band = Mark((-noise, noise), "declared noise, one sd", "given", "y")

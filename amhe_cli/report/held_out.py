@@ -161,11 +161,12 @@ def error_rows(held_out: HeldOut) -> list[tuple[str, str, str]]:
         ("position error", h.initial_position_error_m, h.position_error_m, "m"),
         ("orientation error", h.initial_orientation_error_rad, h.orientation_error_rad, "rad"),
     ]
-    whole = {one.channel: one for one in reversed(h.errors)}
+    whole = {(one.channel, one.unit): one for one in reversed(h.errors)}
+    joints = {"rad", "m"} if math.isnan(h.position_error_m) else {"rad"}  # a body's position has its row
     rows += [
         (f"{one.channel.split(_EFFORT)[-1]} error", one.initial, one.identified, one.unit)
-        for key, one in sorted(whole.items())
-        if _EFFORT in key or (key.endswith(".position") and one.unit in ("rad", "rad or m"))
+        for (key, unit), one in sorted(whole.items())
+        if _EFFORT in key or (key.endswith(".position") and unit in joints)
     ]
     return [
         (name, sized(before, unit), sized(after, unit))

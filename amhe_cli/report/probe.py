@@ -181,6 +181,4 @@ def _sections(log: Path, system: System, record: Mapping[str, Any]) -> Iterator[
     except AmheError as error:
         yield Section("What was recorded", text=f"The log cannot be read: {error}")
     else:
-        yield Section(
-            "What was recorded", figure=log_figure(recorded, {one.key: one.unit for one in system.channels})
-        )
+        yield Section("What was recorded", figure=log_figure(recorded))

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import singledispatch
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 from markupsafe import Markup
@@ -87,10 +87,10 @@ def _of_log(log: Log) -> Iterator[Section]:
             _rate(log, one),
             numbers.percent(float(one.valid.mean()) if one.valid.size else 0.0),
             _range(one),
-            _unit(key, one),
+            unit,
             ", ".join(one.columns),
         )
-        for key, one in log.series.items()
+        for key, one, unit in _of_one_unit(log)
     ]
     head = ("series", "measured", "without gaps", "values", "unit", "columns")
     table = Table(head, ("name", NUMBER, NUMBER, NUMBER, "unit", "soft text"), rows)
@@ -142,20 +142,30 @@ def _of_belief(belief: Belief) -> Iterator[Section]:
         yield Section("Correlations", table=Table(("", *belief.names), looks, rows))
 
 
-def log_figure(log: Log, units: Mapping[str, str] = MappingProxyType({})) -> Markup:
-    """Each series over time, a panel each, gaps left open; '' for a log without samples.
+def log_figure(log: Log) -> Markup:
+    """Each series over time, a panel each, gaps left open; '' for a log without samples."""
+    drawn = [each for each in _of_one_unit(log) if each[1].valid.any()][:MOST_PANELS]
+    return figure([_panel(log, *each) for each in drawn], 2)
 
-    Args:
-        log: The log.
-        units: Units of series by their keys, where a system knows whether joints turn or slide.
-    """
-    drawn = [(key, one) for key, one in log.series.items() if one.valid.any()][:MOST_PANELS]
-    return figure([_panel(log, key, one, units.get(key, _unit(key, one))) for key, one in drawn], 2)
+
+def _of_one_unit(log: Log) -> Iterator[tuple[str, Series, str]]:
+    """Each series with its unit; joints that turn apart from those that slide."""
+    for key, one in log.series.items():
+        usual = QUANTITIES.get(key.rpartition(".")[2], "any")
+        units = log.units.get(key) or (usual if " or " not in usual else "",)
+        for unit in dict.fromkeys(units):
+            at = [i for i in range(len(one.columns)) if units[i % len(units)] == unit]
+            part = (
+                one
+                if len(at) == len(one.columns)
+                else replace(one, values=one.values[:, at], columns=tuple(one.columns[i] for i in at))
+            )
+            yield key, part, unit * (unit not in ("-", "any"))
 
 
 def _panel(log: Log, key: str, one: Series, unit: str) -> Panel:
     time = log.dt * np.arange(log.steps, dtype=np.float64)
-    factor, unit = shown_unit("" if " or " in unit else unit)
+    factor, unit = shown_unit(unit)
     columns = factor * np.where(one.valid[:, None], one.values, np.nan).T
     names = [*one.columns, *map(str, range(len(one.columns), len(columns)))] if len(columns) > 1 else [""]
     lines = [
@@ -168,13 +178,6 @@ def _panel(log: Log, key: str, one: Series, unit: str) -> Panel:
 def _rate(log: Log, one: Series) -> str:
     rows = np.flatnonzero(one.sampled)
     return f"{(rows.size - 1) / np.ptp(rows) / log.dt:.4g} Hz" if rows.size > 1 else numbers.MISSING
-
-
-def _unit(key: str, one: Series) -> str:
-    unit = QUANTITIES.get(key.rpartition(".")[2], "any")
-    if one.columns == ("x", "y", "z"):  # of a body, not of joints
-        unit = unit.partition(" or ")[0]
-    return "" if unit in ("-", "any") else unit
 
 
 def _range(one: Series) -> str:

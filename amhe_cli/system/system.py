@@ -120,6 +120,12 @@ class System(SystemData, Displayed):
         """Number of columns of each series, `signal.quantity`, that meets the model."""
         return {part.key: len(part.columns) for part in (*self.channels, *self.inputs)}
 
+    @property
+    def units(self) -> dict[str, tuple[str, ...]]:
+        """Unit of each series that meets the model; of each column where joints turn and others slide."""
+        measured = {one.key: one.units for one in self.channels if one.kind == "linear"}
+        return measured | {one.key: one.units for one in self.inputs if one.units}
+
     def reading(self, topics: Mapping[str, str]) -> System:
         """The system with some of its signals read from other topics.
 

@@ -207,8 +207,8 @@ def columns_of(system: System, log: Log) -> Iterator[Plotted]:
     """What is plotted of a system's logs."""
     for channel in _shown(system):
         names = ("x", "y", "z") if channel.kind == "rotation" else log[channel.key].columns
-        for name in names:
-            yield Plotted(channel.key, name, channel.unit, channel.noise or 0.0)
+        for i, name in enumerate(names):
+            yield Plotted(channel.key, name, channel.units[i % len(channel.units)], channel.noise or 0.0)
 
 
 def _shown(system: System) -> list[Channel]:

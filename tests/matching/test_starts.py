@@ -66,7 +66,7 @@ def test_the_slope_of_an_orientation_is_the_rate_in_the_bodys_own_frame(cart, dr
         "body.orientation": Series(turning, ones, ones, tuple("wxyz")),
         "body.angular_velocity": Series(np.zeros((41, 3)), ones, ones, tuple("xyz")),
     }
-    channel = Channel("body.angular_velocity", "linear", "qvel", (0, 1, 2), 0.1, "rad/s", False, 0.05)
+    channel = Channel("body.angular_velocity", "linear", "qvel", (0, 1, 2), 0.1, ("rad/s",), False, 0.05)
     system = replace(cart, channels=(channel,))
     window = Window(Log(dt, series, "a turning body"), 20, 10)
     wide = replace(system, model=_WithThree())  # type: ignore[arg-type]

@@ -69,12 +69,12 @@ def fit(clip: str, held_out: bool, rng: np.random.Generator) -> list[Fit]:
     initial = 0.9 * np.exp(-0.2 * time) * np.cos(5.1 * time)
     measured = truth + rng.normal(0, noise, time.size)
     position = Fit(
-        clip, "arm.position", "rad", ("hinge",), time, measured[:, None], initial[:, None],
+        clip, "arm.position", ("rad",), ("hinge",), time, measured[:, None], initial[:, None],
         (truth + 0.003)[:, None], noise, held_out,
     )  # fmt: skip
     three = np.stack((truth, 0.5 * truth + 0.2, 0.3 * time - 0.4 * time**2), axis=1)
     body = Fit(
-        clip, "bob.position", "m", ("x", "y", "z"), time, three + rng.normal(0, 0.004, three.shape),
+        clip, "bob.position", ("m",), ("x", "y", "z"), time, three + rng.normal(0, 0.004, three.shape),
         three * np.array([1.3, 0.6, 1.6]), three, 0.004, held_out,
     )  # fmt: skip
     return [position, body]

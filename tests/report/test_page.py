@@ -13,6 +13,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
@@ -262,7 +263,28 @@ def test_a_bodys_position_is_in_metres_and_true_values_are_words() -> None:
     cells = texts(shown)
     assert cells[cells.index("box.position") + 4] == "m"
     assert {panel["title"]: panel.get("unit") for panel in panels(shown)}["box.position"] == "m"
-    assert cells[cells.index("joints.position") + 4] == "m or rad"
+    assert cells[cells.index("joints.position") + 4] == "rad"
+    assert cells[cells.index("command.position") + 4] == "rad"
+
+
+RAIL = """<mujoco><worldbody><body name="arm"><joint name="swing"/><geom size=".1"/></body>
+<body name="lift" pos="1 0 0"><joint name="lift" type="slide"/><geom size=".1"/></body></worldbody></mujoco>"""
+
+
+def test_joints_that_slide_stand_apart_from_joints_that_turn() -> None:
+    signals = {"joints": {"joints": ["swing", "lift"], "noise": {"position": 0.01, "velocity": None}}}
+    mass = {"nominal": 1.0, "targets": [{"body": "lift", "set": "mass"}]}
+    system = amhe.System.from_model(
+        mujoco.MjSpec.from_string(RAIL), parameters={"mass": mass}, signals=signals
+    )
+    time = np.arange(0.0, 1.0, 0.01)
+    position = np.stack((np.sin(time), 0.1 * time), axis=1)
+    log = amhe.Log.from_arrays({"joints": {"time": time, "position": position}}, system)
+    cells, shown = texts(written_page(log)), panels(written_page(log))
+    at = [i for i, text in enumerate(cells) if text == "joints.position"]
+    assert [(cells[i + 4], cells[i + 5]) for i in at] == [("rad", "swing"), ("m", "lift")]
+    assert [one["unit"] for one in shown if one["title"] == "joints.position"] == ["°", "m"]
+    assert [one["unit"] for one in shown if one["title"] == "joints.velocity"] == ["°/s", "m/s"]
     assert "true values: box_mass 4" in shown
 
 

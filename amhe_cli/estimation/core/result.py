@@ -238,7 +238,7 @@ class Fit:
     Args:
         clip: Label, such as 'toss_041.mcap 0.00-0.40 s'.
         channel: Name of the channel, such as 'cube.position'.
-        unit: Unit of the values.
+        units: Unit of all columns, or of each.
         columns: Names of the columns, length k.
         time: Times of the measurements, from the clip's start [s], shape (T,).
         measured, initial, identified: Values, shape (T, k); for rotations, rotation vectors relative
@@ -250,7 +250,7 @@ class Fit:
 
     clip: str
     channel: str
-    unit: str
+    units: tuple[str, ...]
     columns: tuple[str, ...]
     time: FloatArray
     measured: FloatArray

@@ -236,19 +236,24 @@ def _spans(cost: MatchingCost, residuals: Sequence[AnyArray]) -> Iterator[SpanEr
     if cost.system.match == "effort":  # each instant stands for itself
         spans = spans[:1]
     for observed, values in zip(cost.clips.observed, map(to_host, residuals), strict=True):
-        identified, initial = (_sizes(observed, part) for part in values)
-        time, key, unit = (observed.rows + 1) * dt, observed.channel.key, observed.channel.unit
+        time, channel = (observed.rows + 1) * dt, observed.channel
         for start, end in spans:
             inside = observed.mask & (time > start) & (time <= end + 0.5 * dt)
-            if inside.any():
-                errors = float(initial[inside].mean()), float(identified[inside].mean())
-                yield SpanError(key, unit, start, end, *errors)
+            for unit in dict.fromkeys(channel.units) if inside.any() else ():
+                after, before = (float(_sizes(observed, part, unit)[inside].mean()) for part in values)
+                yield SpanError(channel.key, unit, start, end, before, after)
 
 
-def _sizes(observed: Observed, residuals: FloatArray) -> FloatArray:
-    """Error of each sample (c, s) from whitened residuals (c, s, k): of a pose a distance, else the mean."""
+def _sizes(observed: Observed, residuals: FloatArray, unit: str) -> FloatArray:
+    """Error of each sample (c, s) from whitened residuals (c, s, k): of a pose a distance, else the mean.
+
+    Of joints, those of this unit count: some turn, others slide.
+    """
+    units = observed.channel.units
     if any(measures(observed.channel, quantity) for quantity in ("position", "orientation")):
         return observed.noise * np.linalg.norm(residuals, axis=-1)
+    if len(units) > 1:
+        residuals = residuals[..., [i for i, one in enumerate(units) if one == unit]]
     return np.abs(observed.noise * residuals).mean(axis=-1)
 
 
@@ -294,7 +299,7 @@ def fit_of(
     return Fit(
         clip=clip_name(window),
         channel=observed.channel.key,
-        unit=observed.channel.unit,
+        units=observed.channel.units,
         columns=tuple(columns),
         time=(observed.rows[i, keep] + 1) * window.log.dt,
         measured=measured,

@@ -31,7 +31,7 @@ HORIZONS = (0.1, 0.5, 2.0)
 STARTS = 20
 #: Share of a horizon, at its end, that the error is taken over.
 _LAST = 0.1
-_LENGTHS = ("rad", "m", "rad or m")
+_LENGTHS = {"rad", "m"}
 
 
 #: Resamples of the clips.
@@ -118,7 +118,7 @@ def errors_of(system: System, windows: Sequence[Window], engine: Engine, z: Floa
 def clip_errors(cost: MatchingCost, z: FloatArray) -> Iterator[ClipErrors]:
     """Errors of candidates z (p, d) at each clip's end: poses and joints, or all channels if none is one."""
     residuals = cost.residuals(z)
-    placed = [one.channel.unit in _LENGTHS for one in cost.clips.observed]
+    placed = [_LENGTHS.issuperset(one.channel.units) for one in cost.clips.observed]
     lengths = np.array([window.length for window in cost.clips.windows])
     for observed, values, shown in zip(cost.clips.observed, residuals.values, placed, strict=True):
         if not shown and any(placed):
@@ -146,13 +146,13 @@ def _columns(cost: MatchingCost, observed: Observed) -> Iterator[tuple[str, str,
         yield "", channel.unit, list(range(width))
         return
     names = cost.clips.windows[0].log[channel.series].columns
+    units = [channel.units[i % len(channel.units)] for i in range(len(names))]
     if channel.source != "qpos":
         for i, name in enumerate(names):
-            yield (str(name) if width > 1 else ""), channel.unit, [i]
+            yield (str(name) if width > 1 else ""), units[i], [i]
         return
     for i in np.argsort(channel.columns[: len(names)], kind="stable").tolist():  # the model's order of joints
-        joint, unit = joint_of(cost.system.model, channel.columns[i])
-        yield joint or str(names[i]), unit, [i]
+        yield joint_of(cost.system.model, channel.columns[i]) or str(names[i]), units[i], [i]
 
 
 def _rms_of(size: FloatArray, inside: BoolArray) -> FloatArray:

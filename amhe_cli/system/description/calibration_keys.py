@@ -84,7 +84,12 @@ class CalibrationDraft:
         """Unit of what a target sets."""
         if target.set == "bias":
             key = str(target.signal), self._quantity(str(target.signal), "bias", target.quantity)
-            return self.channels[key].unit if key in self.channels else QUANTITIES[key[1]]
+            if key not in self.channels:
+                return QUANTITIES[key[1]]
+            units, part = self.channels[key].units, target.joint or target.axis
+            return (
+                units[self._columns(*key).index(part)] if part and len(units) > 1 else self.channels[key].unit
+            )
         if target.set == "frame":
             return "m" if target.axis in ("x", "y", "z") else "rad"
         return "Hz" if target.set == "band" else "-"

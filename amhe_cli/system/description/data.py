@@ -29,7 +29,7 @@ class Channel:
         source: Array of the rollout that predicts it.
         columns: Columns of that array, in the order of the series' columns (4 for a quaternion).
         noise: Measurement noise sd [SI] of one column; None: unknown.
-        unit: Unit of the residual.
+        units: Unit of the residual; where joints turn and others slide, that of each column.
         compared: Rollouts are held against it; else it only sets the state that they start from.
         part: The one column of the series that it is; None: all of them.
         slope: For a velocity: at a window's start it is the slope of the positions that were measured within
@@ -41,7 +41,7 @@ class Channel:
     source: Literal["qpos", "qvel", "sensordata", "effort"]
     columns: tuple[int, ...]
     noise: float | None
-    unit: str
+    units: tuple[str, ...]
     compared: bool = True
     slope: float = 0.0
     part: int | None = None
@@ -63,7 +63,13 @@ class Channel:
             names: What the columns are called.
         """
         for i, (column, name) in enumerate(zip(self.columns, names, strict=True)):
-            yield replace(self, key=f"{self.key}{PART}{name}", columns=(column,), part=i)
+            units = self.units[i:][:1] if len(self.units) > 1 else self.units
+            yield replace(self, key=f"{self.key}{PART}{name}", columns=(column,), part=i, units=units)
+
+    @property
+    def unit(self) -> str:
+        """Unit of the residual; 'rad or m' where joints turn and others slide."""
+        return " or ".join(dict.fromkeys(self.units))
 
     @property
     def integral(self) -> str:
@@ -88,6 +94,7 @@ class Input:
         frame: x, y, z, roll, pitch, yaw of the log's frame in the model's, where a pose is brought into it.
         arm: Where a force drives by its moment: series of the point where it acts and of the origin about
             which (None: that of the frame).
+        units: Unit of each column, or of all; (): they have none.
     """
 
     key: str
@@ -95,6 +102,7 @@ class Input:
     delayed: bool
     frame: tuple[float, ...] = ()
     arm: tuple[str, str | None] | None = None
+    units: tuple[str, ...] = ()
 
     @property
     def keys(self) -> tuple[str, ...]:

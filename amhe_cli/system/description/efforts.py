@@ -15,7 +15,7 @@ import numpy as np
 from amhe_cli.core.settings import Settings
 from amhe_cli.system.description.data import Channel, Input
 from amhe_cli.system.description.schema import Description, SignalEntry
-from amhe_cli.system.description.wiring import Wiring, split_key, unit_of
+from amhe_cli.system.description.wiring import Wiring, split_key, units_of
 
 _CTRL = int(mujoco.mjtState.mjSTATE_CTRL)
 _AT_JOINT = mujoco.mjtTrn.mjTRN_JOINT
@@ -44,9 +44,9 @@ def matching_efforts(
     forces = {key: dofs for key, dofs in driven.items() if dofs}
     for key, dofs in forces.items():
         name, quantity = split_key(key)
-        unit = unit_of("effort", [int(model.jnt_type[model.dof_jntid[dof]]) for dof in dofs])
+        units = units_of("effort", [int(model.jnt_type[model.dof_jntid[dof]]) for dof in dofs])
         noise = entries[name].noise.get(quantity)
-        channels.append(Channel(key, "linear", "effort", dofs, noise, unit))
+        channels.append(Channel(key, "linear", "effort", dofs, noise, units))
     if all(channel.source != "effort" for channel in channels):
         file.problem(
             ("match",),

@@ -7,7 +7,7 @@ from the model as the user wrote it, and adds to its spec what the measured quan
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -80,6 +80,7 @@ class Drive:
     delayed: bool = False
     frame: tuple[float, ...] = ()
     arm: tuple[str, str | None] | None = None
+    units: tuple[str, ...] = ()
 
 
 @dataclass
@@ -91,19 +92,19 @@ class WiringDraft:
     entries: Mapping[str, SignalEntry]
     signals: list[Signal] = field(default_factory=list)
     state: list[Channel] = field(default_factory=list)
-    sensed: list[tuple[str, str, float, str, list[str]]] = field(
+    sensed: list[tuple[str, str, float, tuple[str, ...], list[str]]] = field(
         default_factory=list
-    )  # key, quantity, sd, unit, sensors
+    )  # key, quantity, sd, units, sensors
     driven: list[Drive] = field(default_factory=list)
     joints_set: set[int] = field(default_factory=set)
 
     def wired(self, model: mujoco.MjModel) -> Wiring:
         """Addresses in the final model: the spec of the draft, compiled."""
         channels = list(self.state)
-        for key, quantity, noise, unit, sensors in self.sensed:
+        for key, quantity, noise, units, sensors in self.sensed:
             rows = [id_of(model, "sensor", name) for name in sensors]
             columns = [int(model.sensor_adr[r]) + i for r in rows for i in range(int(model.sensor_dim[r]))]
-            channels.append(Channel(key, _kind(quantity), "sensordata", tuple(columns), noise, unit))
+            channels.append(Channel(key, _kind(quantity), "sensordata", tuple(columns), noise, units))
         spec = 0
         for drive in self.driven:
             spec |= int(drive.bit)
@@ -118,7 +119,7 @@ class WiringDraft:
                 for part in drive.parts
             ]
             at = tuple(first + column for column in columns)
-            inputs.append(Input(drive.key, at, drive.delayed, drive.frame, drive.arm))
+            inputs.append(Input(drive.key, at, drive.delayed, drive.frame, drive.arm, drive.units))
         return Wiring(tuple(self.signals), tuple(channels), tuple(inputs), spec)
 
     def calibrated(
@@ -202,15 +203,13 @@ def signal_of(
     )
 
 
-def unit_of(quantity: str, joints: Collection[int] = ()) -> str:
-    """Unit of a body's quantity, or of joints of these types; joints of both kinds share none."""
+def units_of(quantity: str, joints: Sequence[int] = ()) -> tuple[str, ...]:
+    """Unit of a body's quantity, or of joints of these types: that of each where they differ."""
     straight, *turned = QUANTITIES[quantity].split(" or ")
     if quantity == "orientation":
-        return "rad"
-    kinds = {int(kind) for kind in joints}
-    if turned and len(kinds) > 1:
-        return QUANTITIES[quantity]
-    return turned[0] if turned and kinds == {int(mujoco.mjtJoint.mjJNT_HINGE)} else straight
+        return ("rad",)
+    units = [turned[0] if turned and kind == mujoco.mjtJoint.mjJNT_HINGE else straight for kind in joints]
+    return tuple(units) if len(set(units)) > 1 else (*units, straight)[:1]
 
 
 def state_channel(
@@ -219,12 +218,12 @@ def state_channel(
     source: str,
     columns: Iterable[int],
     entry: SignalEntry,
-    unit: str,
+    units: tuple[str, ...],
 ) -> Channel:
     """Channel of a quantity that sets the state of a rollout, and is compared if the entry says so."""
     noise, compared = entry.noise.get(quantity), entry.compares(quantity)
     slope = entry.slope.get(quantity, 0.0)
-    return Channel(key, _kind(quantity), source, tuple(columns), noise, unit, compared, slope)  # pyright: ignore[reportArgumentType]
+    return Channel(key, _kind(quantity), source, tuple(columns), noise, units, compared, slope)  # pyright: ignore[reportArgumentType]
 
 
 def _kind(quantity: str) -> Literal["linear", "rotation"]:
@@ -341,7 +340,7 @@ def _measured_body(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
     ):
         columns = range(first, first + width)
         draft.state.append(
-            state_channel(signal.key(quantity), quantity, source, columns, entry, unit_of(quantity))
+            state_channel(signal.key(quantity), quantity, source, columns, entry, units_of(quantity))
         )
     draft.joints_set.add(joint)
     draft.signals.append(signal)
@@ -367,7 +366,7 @@ def _at_site(
         draft.spec.add_sensor(
             name=sensor, type=_SITE_SENSORS[quantity], objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site
         )
-        draft.sensed.append((signal.key(quantity), quantity, sd, unit_of(quantity), [sensor]))
+        draft.sensed.append((signal.key(quantity), quantity, sd, units_of(quantity), [sensor]))
     draft.signals.append(signal)
 
 
@@ -385,14 +384,14 @@ def _measured_joints(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
     ):
         columns = [int(addresses[row]) for row in rows]
         draft.state.append(
-            state_channel(signal.key(quantity), quantity, source, columns, entry, unit_of(quantity, kinds))
+            state_channel(signal.key(quantity), quantity, source, columns, entry, units_of(quantity, kinds))
         )
     if effort:
         sensors = [f"amhe/{name}/effort/{joint}" for joint in names]
         kind = mujoco.mjtSensor.mjSENS_JOINTACTFRC
         for sensor, joint in zip(sensors, names, strict=True):
             draft.spec.add_sensor(name=sensor, type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=joint)
-        draft.sensed.append((signal.key("effort"), "effort", effort, unit_of("effort", kinds), sensors))
+        draft.sensed.append((signal.key("effort"), "effort", effort, units_of("effort", kinds), sensors))
     draft.joints_set.update(rows)
     draft.signals.append(signal)
 
@@ -408,7 +407,7 @@ def _measured_sensor(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
     for sensor in sensors:
         id_of(draft.model, "sensor", sensor)
     signal = signal_of(name, entry, (quantity,))
-    draft.sensed.append((signal.key(quantity), quantity, sd, unit_of(quantity), sensors))
+    draft.sensed.append((signal.key(quantity), quantity, sd, units_of(quantity), sensors))
     draft.signals.append(signal)
 
 
@@ -431,7 +430,11 @@ def _driven_actuators(draft: WiringDraft, name: str, entry: SignalEntry) -> None
             control_of(draft.model, row, quantity)  # refused where there is none
     told = quantity in SIGNALS
     parts: list[int | str] = [carrier(quantity, one) if told else one for one in names]
-    draft.driven.append(Drive(signal.key(quantity), _CTRL, parts, delayed=not told))
+    transmission = zip(draft.model.actuator_trntype[rows], draft.model.actuator_trnid[rows, 0], strict=True)
+    kinds = [draft.model.jnt_type[at] for kind, at in transmission if kind == mujoco.mjtTrn.mjTRN_JOINT]
+    known = quantity in QUANTITIES and len(kinds) == len(rows)
+    units = units_of(quantity, kinds) if known else ()
+    draft.driven.append(Drive(signal.key(quantity), _CTRL, parts, delayed=not told, units=units))
     draft.signals.append(signal)
 
 
@@ -464,7 +467,8 @@ def _driven_mocap(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
         width = 3 if quantity == "position" else 4
         columns: list[int | str] = list(range(width * row, width * (row + 1)))
         frame = tuple(entry.frame) if isinstance(entry.frame, list) else ()
-        draft.driven.append(Drive(signal.key(quantity), _MOCAP[quantity], columns, frame=frame))
+        units = ("m",) if quantity == "position" else ()
+        draft.driven.append(Drive(signal.key(quantity), _MOCAP[quantity], columns, frame=frame, units=units))
     draft.signals.append(signal)
 
 

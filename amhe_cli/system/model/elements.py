@@ -77,11 +77,9 @@ def single_joints(model: mujoco.MjModel, names: Iterable[str]) -> list[int]:
     return rows
 
 
-def joint_of(model: mujoco.MjModel, column: int) -> tuple[str, str]:
-    """Name of the joint that a column of qpos belongs to, and the unit of its position."""
-    row = int((model.jnt_qposadr == column).nonzero()[0][0])
-    slides = model.jnt_type[row] == mujoco.mjtJoint.mjJNT_SLIDE
-    return model.joint(row).name, "m" if slides else "rad"
+def joint_of(model: mujoco.MjModel, column: int) -> str:
+    """Name of the joint that a column of qpos belongs to."""
+    return model.joint(int((model.jnt_qposadr == column).nonzero()[0][0])).name
 
 
 def driven_joint(model: mujoco.MjModel, actuator: int) -> str | None:
