@@ -70,12 +70,12 @@ def _rest(fit: Fit, column: int) -> Panel:
 def _inputs(fit: Fit) -> Iterator[Panel]:
     """What drove the clip: the inputs that change most."""
     rows = evenly(len(fit.time))
-    moved = [float(np.ptp(values[np.isfinite(values)])) if values.size else 0.0 for _, values in fit.inputs]
+    moved = [float(np.ptp(values[np.isfinite(values)])) if values.size else 0.0 for *_, values in fit.inputs]
     for i in sorted(np.argsort(-np.array(moved), kind="stable")[:MAX_INPUTS].tolist()):
-        name, values = fit.inputs[i]
-        yield Panel(
-            f"input: {name}", [Curve(fit.time[rows], values[rows], color="soft", shape="step")], height=80
-        )
+        name, unit, values = fit.inputs[i]
+        factor, unit = shown_unit(unit)
+        line = Curve(fit.time[rows], factor * values[rows], color="soft", shape="step")
+        yield Panel(f"input: {name}", [line], unit, height=80)
 
 
 def widest_gap(fits: Sequence[Fit]) -> float:

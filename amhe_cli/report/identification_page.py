@@ -98,10 +98,11 @@ def identification_page(
         seen: What a view adds to it.
     """
     clips, logs = result.clips, len(result.logs)
+    named = ", ".join(Path(log).name for log in result.logs[:3]) + ", ..." * (logs > 3)
     return result_page(
         record,
         provenance,
-        title=result.system,
+        title=named if result.system == "system" else result.system,  # that of `identify --model` has no name
         facts=(
             f"{logs} log{'s' * (logs != 1)} fitted",
             f"{clips.fitted} clips fitted, {clips.held_out} held out",

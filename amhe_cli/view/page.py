@@ -76,6 +76,8 @@ def ghost_data(viewing: Viewing, ghost: Track | None, cost: float) -> dict[str, 
 def strip_data(viewing: Viewing, take: Take, scene: Scene, instants: int) -> dict[str, Any]:
     """A clip at some instants: the bodies as they were measured and as each candidate predicts them.
 
+    One of them is the instant at which the first candidate is farthest away.
+
     Args:
         viewing: The viewing.
         take: The clip.
@@ -84,6 +86,11 @@ def strip_data(viewing: Viewing, take: Take, scene: Scene, instants: int) -> dic
     """
     rows = np.linspace(0, len(take.rows) - 1, instants + 1).round().astype(int)[1:]
     tracks = [track for track in (take.measured, *take.ghosts) if track is not None]
+    if len(tracks) > 1:
+        noise = np.array([one.noise or 1.0 for one in viewing.columns])
+        gaps = np.nan_to_num(np.abs(tracks[1].values - tracks[0].values) / noise, posinf=0.0)
+        widest = int(np.argmax(gaps.max(axis=1)))
+        rows[np.argmin(abs(rows[:-1] - widest))] = widest  # the last one stays the end
     return _about(scene, (), viewing.candidates) | {
         "times": take.ends[0] + take.measured.step * rows,
         "frames": [[_floats(track.poses[row]) for track in tracks] for row in rows],

@@ -245,7 +245,7 @@ class Fit:
             to the clip's first measured orientation.
         noise: Noise sd of one column.
         held_out: The clip was not fitted.
-        inputs: Name of each input and its values then, shape (T,).
+        inputs: Name, unit and values then (T,) of each input; unit '': it has none.
     """
 
     clip: str
@@ -258,7 +258,7 @@ class Fit:
     identified: FloatArray
     noise: float
     held_out: bool
-    inputs: tuple[tuple[str, FloatArray], ...] = ()
+    inputs: tuple[tuple[str, str, FloatArray], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

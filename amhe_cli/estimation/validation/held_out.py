@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import cycle
 
 import numpy as np
 
@@ -308,9 +309,11 @@ def fit_of(
         noise=float(np.mean(observed.noise)),
         held_out=held_out,
         inputs=tuple(
-            (f"{key} {name}", values)
+            (f"{key} {name}", unit, values)
             for key, series in zip(inputs, driven, strict=True)
-            for name, values in zip(series.columns, series.values[rows].T, strict=False)
+            for name, unit, values in zip(
+                series.columns, cycle(window.log.units.get(key, ("",))), series.values[rows].T, strict=False
+            )
         ),
     )
 

@@ -235,7 +235,7 @@ class Player {
     const past = Math.min(0.1, (stamp - (this.stamp ?? stamp)) / 1000), [from, to] = this.span();
     this.stamp = stamp;
     if (this.playing) {
-      this.now += past * (this.speed ?? (this.take ? Math.min(1, (to - from) / LONG) : 1)); this.dirty = true;
+      this.now += past * (this.speed ?? (this.take ? (to - from) / LONG : 1)); this.dirty = true;
       if (this.now > to) this.now = this.take ? from : to;
       if (this.now >= to && !this.take && !this.data.live) this.play(false);
     }
