@@ -269,7 +269,8 @@ def test_a_bodys_position_is_in_metres_and_true_values_are_words() -> None:
 
 
 RAIL = """<mujoco><worldbody><body name="arm"><joint name="swing"/><geom size=".1"/></body>
-<body name="lift" pos="1 0 0"><joint name="lift" type="slide"/><geom size=".1"/></body></worldbody></mujoco>"""
+<body name="lift" pos="1 0 0"><joint name="lift" type="slide"/><geom size=".1"/></body>
+</worldbody></mujoco>"""
 
 
 def test_joints_that_slide_stand_apart_from_joints_that_turn() -> None:
