@@ -205,7 +205,7 @@ def scored(
             continue
         errors = [
             errors_of(
-                system, [row[i] for row in usable], engines[i], system.space.gaussian_of(result.belief)[0]
+                system, [row[i] for row in usable], engines[i], system.space.gaussian_of(result.validated)[0]
             )
             for i, (system, result) in enumerate(zip(systems, results, strict=True))
         ]

@@ -79,6 +79,11 @@ class Result:
         return self.found.belief.about(self.system.space.names)
 
     @property
+    def validated(self) -> Belief:
+        """The belief at the values that held-out parts of the logs judge, which did not fit them."""
+        return (self.found.validated or self.found.belief).about(self.system.space.names)
+
+    @property
     def fits(self) -> tuple[Fit, ...]:
         """Measured values against predicted ones, for some clips and each of their channels."""
         return self.found.fits

@@ -58,7 +58,7 @@ class ClipSettings(SettingsGroup):
     held_out_length: Positive | None = None
     """Length [s] of a validation clip; the mean of `length` where not given."""
     held_out_least: Annotated[int, Field(ge=0)] = 0
-    """Fewest validation clips: where the logs are too short for so many, all of them is fitted."""
+    """Logs too short for so many validation clips are first fitted without them, then whole."""
     held_out_first_only: bool = False
     """Validate only on each held-out log's first clip instead of tiling it."""
     still: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 3.0

@@ -69,6 +69,7 @@ class Search:
         validation: Clips that were not fitted.
         watch: Shows progress of what follows, and has the time that is left.
         model: Parameters of the model, with their prior; logs may have values of their own of some.
+        without: The search that did not fit the clips to validate on, if this one fits them too.
     """
 
     problem: Problem
@@ -76,6 +77,7 @@ class Search:
     validation: list[Window]
     watch: Watch
     model: ParameterSpace
+    without: Search | None = None
 
     @cached_property
     def fit(self) -> FinalFit:
@@ -101,10 +103,11 @@ def conclude(search: Search, *, quick: bool = False) -> Identification:
     watch.enter("covariance")
     fit, rival = _best(_settled(search.fit, watch), watch)
     finding = fit.finding
-    validation, notes = with_own_values(fit, search.validation)
+    apart = search.without.fit if search.without else fit
+    validation, notes = with_own_values(apart, search.validation)
     for text in notes:
         logger.log(NOTE, text)
-    held_out, misfit = _judged(fit, validation, watch)
+    held_out, misfit = _judged(fit, apart, validation, watch)
     missing = _missing(fit, watch)
     ledger, exact = _ledger(fit, rival, watch, quick)
     drawn = _profiles(fit, ledger.sd, watch)
@@ -115,17 +118,19 @@ def conclude(search: Search, *, quick: bool = False) -> Identification:
     watch.report_skipped()
     watch.enter("predictions for the report")
     effort = system.match == "effort"
+    belief = belief_of(
+        replace(system, space=space),
+        lines.z,
+        covariance + np.diag(lines.next_log),
+        systematic=part_of(covariance, lines.ledger.shared),
+        owed=lines.ledger.owed,
+    )
     return Identification(
         system=system.name,
         method="cmaes" if isinstance(finding, CmaState) else "linearised",
         parameters=verdicts(space, evidence),
-        belief=belief_of(
-            replace(system, space=space),
-            lines.z,
-            covariance + np.diag(lines.next_log),
-            systematic=part_of(covariance, lines.ledger.shared),
-            owed=lines.ledger.owed,
-        ),
+        belief=belief,
+        validated=replace(belief, estimate=space.theta_of(lines.of(apart.z))),
         correlations=evidence.correlations,
         combinations=combinations(space, covariance, evidence.active),
         spreads=lines.spreads,
@@ -145,7 +150,7 @@ def conclude(search: Search, *, quick: bool = False) -> Identification:
         noise_scale=fit.scale,
         unexplained=tuple(evidence.misfit),
         exact=exact,
-        fits=fits(problem, fit.z, validation or list(problem.clips), bool(validation)),
+        fits=fits(problem, apart.z, validation or list(problem.clips), bool(validation)),
         interrupted=watch.interrupted,
         settled=not (watch.cut_short or still_moving(fit)),
         bodies=body_numbers(system, fit.z, ledger, problem.rng(5), misfit),
@@ -215,12 +220,12 @@ def _best(fit: FinalFit, watch: Watch) -> tuple[FinalFit, Rival | None]:
 
 
 def _judged(
-    fit: FinalFit, validation: Sequence[Window], watch: Watch
+    fit: FinalFit, apart: FinalFit, validation: Sequence[Window], watch: Watch
 ) -> tuple[HeldOut | None, tuple[str, ...]]:
-    """Costs and errors on held-out clips, and what speaks against every value, in words."""
-    problem, held_out, against = fit.problem, validate(fit, validation), left_out(fit)
+    """Costs and errors on clips held out of the fit `apart`, and what speaks against every value."""
+    problem, held_out, against = apart.problem, validate(apart, validation), left_out(fit)
     if held_out and watch.allows("held-out clips from fitted first states", problem.linearisation):
-        held_out, worse = judge(fit, validation, held_out)
+        held_out, worse = judge(apart, validation, held_out)
         against = (*against, *worse)
     shown = unexplained(fit)
     if fit.finding.done:
@@ -237,7 +242,7 @@ def _judged(
         logger.warning(f"{text}: no value is called identified{advice}")
     forwards = problem.system.match != "effort"
     if held_out and forwards and watch.allows("error against horizon", _predictions(problem, validation)):
-        held_out = replace(held_out, horizons=horizon_errors(problem, validation, fit.z))
+        held_out = replace(held_out, horizons=horizon_errors(problem, validation, apart.z))
     return held_out, (*against, *shown)
 
 

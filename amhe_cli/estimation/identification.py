@@ -20,7 +20,14 @@ from amhe_cli.estimation.core.result import Identification
 from amhe_cli.estimation.explain.inputs import mended
 from amhe_cli.estimation.offline import cma, search
 from amhe_cli.estimation.offline.checkpoint import Checkpoint
-from amhe_cli.estimation.offline.clips import ClipPool, evenly, split_held_out, validation_length, whole
+from amhe_cli.estimation.offline.clips import (
+    ClipPool,
+    evenly,
+    split_held_out,
+    too_few,
+    validation_length,
+    whole,
+)
 from amhe_cli.estimation.offline.cma import CmaState
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
@@ -105,6 +112,8 @@ def searched_for(
 ) -> Search:
     """The search of `identify`, whose arguments it takes, without the conclusion.
 
+    Of logs that are `too_few` to hold a part out, this part only validates: then all of them is fitted.
+
     `quick`: do not warn of parameters that the logs do not depend on. `near`: begin where a search for the
     same parameters under other priors has ended, and not at the prior's mean. `clips`: fit, and hold out,
     only so many.
@@ -127,7 +136,20 @@ def searched_for(
     kept = Checkpoint(options.checkpoint, problem, options.method)
     begin = search.start(problem) if near is None else near.again(problem)
     finding = _search(problem, options.method, watch, kept, begin)
-    return Search(problem, finding, validation, watch, model)
+    apart = Search(problem, finding, validation, watch, model)
+    more = validation and not held_out and clips is None and too_few(training, system.settings.clips)
+    if watch.cut_short or not more:
+        return apart
+    problem = _of_all(problem, training)
+    unsaved = Checkpoint(None, problem, options.method)
+    finding = _search(problem, options.method, watch, unsaved, apart.again(problem))
+    return Search(problem, finding, validation, watch, model, without=apart)
+
+
+def _of_all(problem: Problem, logs: Sequence[Log]) -> Problem:
+    """The same problem on all of the logs."""
+    pool = problem.pool
+    return replace(problem, pool=ClipPool(pool.system, [whole(log) for log in logs], pool.settings))
 
 
 def _warn(system: System, problem: Problem) -> None:
@@ -165,11 +187,12 @@ def _pose(
     engine = open_engine(system, threads=options.threads, executor=options.executor, kind=options.engine)
     pool = ClipPool(system, fit, clips)
     problem = Problem(system, pool, engine, options.seed, threads=options.threads, share=options.share)
+    windows = ClipPool(system, held, clips).cut(validation_length(clips), clips.held_out_first_only)
+    windows = evenly(windows, clips.most)
+    if not (held_out or (windows and problem.clips)) and too_few(training, clips):
+        problem, held, windows = _of_all(problem, training), [], []
     if not problem.clips:
         raise EstimationError(_no_clips(problem.pool))
-    validation = ClipPool(system, held, clips)
-    windows = validation.cut(validation_length(clips), clips.held_out_first_only)
-    windows = evenly(windows, clips.most)
     if held and not windows:
         logger.warning("the held-out part of the logs has no usable clip: nothing validates the result")
     _report_lag(system, training[0])

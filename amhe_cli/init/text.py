@@ -21,7 +21,7 @@ _GEARED = (
     "",
     "# Servos have gears, whose friction grows with load: intervals allow for it. Name no direct drives;",
     "# with known loads, `amhe compare --friction` says what it is. Lifting and lowering tell load from",
-    "# friction: a log too short for two clips to validate on is fitted to its end.",
+    "# friction: once what is held out has judged a fit, a log of a few seconds is fitted to its end.",
     "settings:",
     "  clips: {held_out_least: 2}",
 )

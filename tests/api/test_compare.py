@@ -106,10 +106,9 @@ def test_wrong_arguments_are_one_line(pendulum_log: Path) -> None:
         amhe.compare([system], [[log]])
     with pytest.raises(amhe.AmheError, match="the same logs"):
         amhe.compare([system, system], [[log], []])
-    for clips in ({"held_out": 0.0}, {"held_out_least": 2, "held_out_length": 0.5}):  # of 1 s
-        own = amhe.System.load("pendulum", {"clips": clips})
-        with pytest.raises(amhe.AmheError, match="no part is held out"):
-            amhe.compare([own, own], [[log], [log]])
+    own = amhe.System.load("pendulum", {"clips": {"held_out": 0.0}})
+    with pytest.raises(amhe.AmheError, match="no part is held out"):
+        amhe.compare([own, own], [[log], [log]])
 
 
 def test_friction_models_stand_in_place_of_the_systems_own() -> None:

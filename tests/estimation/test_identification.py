@@ -44,6 +44,25 @@ def test_noise_free_logs_give_the_exact_answer(pendulum, swing):
 
 
 @pytest.mark.medium
+def test_of_a_short_log_the_held_out_part_judges_a_first_fit_and_then_all_is_fitted(pendulum, swing):
+    log = swing(2.0)
+
+    def by(**clips: float):
+        changed = {"clips": pendulum.settings.clips.model_copy(update=clips)}
+        other = replace(pendulum, settings=pendulum.settings.model_copy(update=changed))
+        return identify(other, [log], None, IdentifyOptions())
+
+    part, whole, both = by(), by(held_out=0.0), by(held_out_least=3)
+    assert both.held_out.cost == part.held_out.cost and both.validated.estimate == pytest.approx(
+        part.belief.estimate, rel=1e-12
+    )
+    assert both.clips.fitted == whole.clips.fitted > part.clips.fitted
+    sd = np.sqrt(np.diag(whole.belief.covariance))  # of log(value)
+    away = [np.abs(np.log(one.belief.estimate / whole.belief.estimate)) / sd for one in (both, part)]
+    assert away[0].max() < 0.2 < away[1].max()
+
+
+@pytest.mark.medium
 def test_cmaes_finds_the_same(pendulum, swing):
     log = swing(4.0)
     result = identify(pendulum, [log], None, IdentifyOptions(method="cmaes"))

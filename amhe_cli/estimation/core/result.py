@@ -418,6 +418,7 @@ class Identification:
     runs: tuple[RunEstimate, ...] = ()
     missing: Missing | None = None  # None: the model misses the logs by no more than twice their noise
     information: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))  # of the logs about z, (d, d)
+    validated: Belief | None = None  # with the values that held-out clips judge
     unbounded: FloatArray = field(default_factory=lambda: np.zeros(0))  # z where no bound holds it, (d,)
     determined: tuple[str, ...] = ()  # what matched efforts tell: of all, and of each joint
     repairs: tuple[Repair, ...] = ()  # in the order in which they were tried

@@ -28,16 +28,13 @@ def split_held_out(logs: Sequence[Log], clips: ClipSettings) -> tuple[list[Windo
     """Divide logs into parts to fit and parts to validate on.
 
     With many logs every n-th is held out whole; with few, or fewer than n, and where logs have values of
-    their own, which no other log knows, the last part of each. Of logs too short for `held_out_least`
-    clips to validate on, all is fitted: what is held out may be the only motion of its kind.
+    their own, which no other log knows, the last part of each.
 
     Args:
         logs: The logs.
         clips: Share of their time that is held out, and the length of clips.
     """
     share = clips.held_out
-    if share * sum(log.duration for log in logs) < clips.held_out_least * validation_length(clips):
-        share = 0.0
     if share <= 0.0:
         return [whole(log) for log in logs], []
     every = max(2, round(1.0 / share))
@@ -52,6 +49,15 @@ def split_held_out(logs: Sequence[Log], clips: ClipSettings) -> tuple[list[Windo
         [Window(log, 0, cut) for log, cut in zip(logs, cuts, strict=True)],
         [Window(log, cut, log.steps - 1 - cut) for log, cut in zip(logs, cuts, strict=True)],
     )
+
+
+def too_few(logs: Sequence[Log], clips: ClipSettings) -> bool:
+    """Whether the held-out parts of the logs are few clips, so that an estimate needs these, too.
+
+    What is held out of a log of a few seconds may be the only motion of its kind.
+    """
+    held = clips.held_out * sum(log.duration for log in logs)
+    return 0.0 < held < clips.held_out_least * validation_length(clips)
 
 
 def validation_length(clips: ClipSettings) -> float:
