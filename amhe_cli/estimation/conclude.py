@@ -104,10 +104,7 @@ def conclude(search: Search, *, quick: bool = False) -> Identification:
     fit, rival = _best(_settled(search.fit, watch), watch)
     finding = fit.finding
     apart = search.without.fit if search.without else fit
-    validation, notes = with_own_values(apart, search.validation)
-    for text in notes:
-        logger.log(NOTE, text)
-    held_out, misfit = _judged(fit, apart, validation, watch)
+    validation, held_out, misfit = _judged(fit, apart, search.validation, watch)
     missing = _missing(fit, watch)
     ledger, exact = _ledger(fit, rival, watch, quick)
     drawn = _profiles(fit, ledger.sd, watch)
@@ -117,7 +114,6 @@ def conclude(search: Search, *, quick: bool = False) -> Identification:
     _report_budget(system, ledger)
     watch.report_skipped()
     watch.enter("predictions for the report")
-    effort = system.match == "effort"
     belief = belief_of(
         replace(system, space=space),
         lines.z,
@@ -157,7 +153,7 @@ def conclude(search: Search, *, quick: bool = False) -> Identification:
         logs=tuple(dict.fromkeys(part.log.source for part in problem.pool.parts)),
         runs=estimates(fit),
         missing=missing,
-        determined=summary_of_efforts(fit, ledger.covariance, held_out) if effort else (),
+        determined=summary_of_efforts(fit, ledger.covariance, held_out) if system.match == "effort" else (),
         information=fit.posterior.hessian - fit.posterior.prior,
         unbounded=fit.z + fit.posterior.step,
     )
@@ -220,9 +216,12 @@ def _best(fit: FinalFit, watch: Watch) -> tuple[FinalFit, Rival | None]:
 
 
 def _judged(
-    fit: FinalFit, apart: FinalFit, validation: Sequence[Window], watch: Watch
-) -> tuple[HeldOut | None, tuple[str, ...]]:
-    """Costs and errors on clips held out of the fit `apart`, and what speaks against every value."""
+    fit: FinalFit, apart: FinalFit, windows: Sequence[Window], watch: Watch
+) -> tuple[list[Window], HeldOut | None, tuple[str, ...]]:
+    """Clips held out of the fit `apart`, costs and errors on them, and what speaks against every value."""
+    validation, notes = with_own_values(apart, windows)
+    for text in notes:
+        logger.log(NOTE, text)
     problem, held_out, against = apart.problem, validate(apart, validation), left_out(fit)
     if held_out and watch.allows("held-out clips from fitted first states", problem.linearisation):
         held_out, worse = judge(apart, validation, held_out)
@@ -243,7 +242,7 @@ def _judged(
     forwards = problem.system.match != "effort"
     if held_out and forwards and watch.allows("error against horizon", _predictions(problem, validation)):
         held_out = replace(held_out, horizons=horizon_errors(problem, validation, apart.z))
-    return held_out, (*against, *shown)
+    return validation, held_out, (*against, *shown)
 
 
 def _missing(fit: FinalFit, watch: Watch) -> Missing | None:
