@@ -16,6 +16,7 @@ from itertools import islice
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+import mujoco
 import numpy as np
 from rich.console import Console
 from rich.table import Table
@@ -52,7 +53,7 @@ class Spy:
         begun = time.perf_counter()
         for _, qpos, qvel, inputs, _ in self._calls:
             ids = np.arange(len(inputs))
-            batch.reset()
+            batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
             batch.bind("qpos")[ids], batch.bind("qvel")[ids] = qpos, qvel
             batch.rollout(inputs.shape[1], control=inputs, record=["qpos", "qvel"], ids=ids)
         self._calls.clear()

@@ -129,6 +129,7 @@ class Controller:
         self._behaviour, self._robot, self._engine = behaviour, robot, engine
         self._settings, self._names = settings, names
         self._sampler = Mpopi(settings, robot.sigma, behaviour.channel_sigma, rng)
+        self._steps = settings.period * np.arange(settings.horizon, dtype=np.float64)
         self._basis = spline_basis(np.linspace(0.0, 1.0, settings.horizon), settings.knots)
 
     def plan(
@@ -149,10 +150,9 @@ class Controller:
         """
         period = self._settings.period
         theta = np.array([belief[name] for name in self._names])
-        start = self._predicted(state, in_force, theta)
+        start, qpos, qvel = self._predicted(state, in_force, theta)
         move = self._behaviour.move(start, belief)
-        times = start.time + period * np.arange(self._settings.horizon, dtype=np.float64)
-        qpos, qvel = self._robot.coordinates(start)
+        times = start.time + self._steps
 
         sampled: list[tuple[FloatArray, FloatArray]] = []
 
@@ -174,20 +174,23 @@ class Controller:
         self._pace.planned()
         return Plan(start.time, period, targets, move.reference, command, step, sampled[-1][1], start)
 
-    def _predicted(self, state: Any, in_force: FloatArray, theta: FloatArray) -> Any:
-        """The state one period later; the same state where the prediction diverges."""
+    def _predicted(
+        self, state: Any, in_force: FloatArray, theta: FloatArray
+    ) -> tuple[Any, FloatArray, FloatArray]:
+        """The state one period later, with its coordinates; the same state where the prediction diverges."""
         qpos, qvel = self._robot.coordinates(state)
         one = self._roll_out(theta, qpos, qvel, in_force[None, None])
         time = state.time + self._settings.period
         if not one.completed[0]:
-            return replace(state, time=time)
-        return self._robot.state_of(time, one.qpos[0, 0], one.qvel[0, 0])
+            return replace(state, time=time), qpos, qvel
+        qpos, qvel = one.qpos[0, 0], one.qvel[0, 0]
+        return self._robot.state_of(time, qpos, qvel), qpos, qvel
 
     def _targets(self, move: Move, times: FloatArray, x: FloatArray) -> FloatArray:
         """Joint targets of plans (n, d), within the joints' limits, shape (n, H, joints)."""
         knots, channels = self._sampler.split(x)
         targets = move.targets(times, move.command + channels) + self._basis @ knots
-        return np.clip(targets, self._robot.lower, self._robot.upper, out=targets)
+        return np.minimum(np.maximum(targets, self._robot.lower, out=targets), self._robot.upper, out=targets)
 
     def _roll_out_in_time(
         self,
@@ -212,14 +215,15 @@ class Controller:
         """Roll out joint targets (n, H, joints); one row of states for each control period."""
         count, fine = len(targets), self._settings.substeps
         inputs = np.empty((count, fine * targets.shape[1], targets.shape[2]))
-        inputs[..., self._robot.servos] = np.repeat(targets, fine, axis=1)
-        theta = np.broadcast_to(theta, (count, theta.size))
-        rows = self._engine.rollout(theta, qpos, qvel, inputs, np.full(count, inputs.shape[1]))
+        inputs[..., self._robot.servos] = targets.repeat(fine, axis=1)
+        lengths = np.full(count, inputs.shape[1])
+        rows = self._engine.rollout(theta[None].repeat(count, axis=0), qpos, qvel, inputs, lengths)
         return replace(rows, qpos=rows.qpos[:, fine - 1 :: fine], qvel=rows.qvel[:, fine - 1 :: fine])
 
     def _scores(self, x: FloatArray, terms: dict[str, FloatArray], completed: BoolArray) -> Scores:
         knots, _ = self._sampler.split(x)
-        means = {name: term.mean(axis=-1) for name, term in terms.items()}
-        means["knots"] = self._behaviour.knot_weight * (knots**2).sum(axis=-1).mean(axis=-1)
-        cost = np.sum(list(means.values()), axis=0)
-        return Scores(np.where(completed & np.isfinite(cost), cost, np.inf), means)
+        means = np.concatenate(list(terms.values())).mean(axis=-1).reshape(len(terms), -1)
+        bent = self._behaviour.knot_weight * (knots**2).sum(axis=-1).mean(axis=-1)
+        cost = means.sum(axis=0) + bent
+        named = dict(zip(terms, means, strict=True)) | {"knots": bent}
+        return Scores(np.where(completed & np.isfinite(cost), cost, np.inf), named)

@@ -35,6 +35,14 @@ def to_host(array: AnyArray) -> FloatArray:
     return array.get() if hasattr(array, "get") else np.asarray(array)  # CuPy refuses np.asarray
 
 
+def columns(shape: tuple[int, ...], *parts: ArrayLike) -> FloatArray:
+    """Arrays that broadcast to a shape, side by side along a new last axis; quicker than `np.stack`."""
+    whole = np.empty((*shape, len(parts)))
+    for i, part in enumerate(parts):
+        whole[..., i] = part
+    return whole
+
+
 def sealed(values: ArrayLike, kind: type[np.generic] = np.float64) -> NDArray[Any]:
     """Return `values` as a read-only array of a kind: freezing a dataclass does not freeze its arrays.
 

@@ -71,7 +71,7 @@ def log(q: FloatArray) -> FloatArray:
 
 def yaw_of(q: FloatArray) -> FloatArray:
     """Heading [rad] of unit quaternions (..., 4), shape (...)."""
-    w, x, y, z = (q[..., i] for i in range(4))
+    w, x, y, z = _components(q)
     return np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 

@@ -69,7 +69,8 @@ class CpuEngine:
         count, horizon = inputs.shape[:2]
         batch = self._ready(count)
         self._write(batch, theta)
-        batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)  # clears warm starts and warnings: reproducible
+        ids = None if count == batch.nsim else np.arange(count)
+        batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)  # clears warm starts and warnings: reproducible
         batch.bind("qpos")[:count] = qpos
         batch.bind("qvel")[:count] = qvel
         if self._model.na and self._controls is not None:
@@ -140,7 +141,7 @@ class CpuEngine:
     def _write(self, batch: mujoco.batch.Batch, theta: FloatArray) -> None:
         """Write candidates into their simulations, unless they hold them already, as a planner's do."""
         count = len(theta)
-        if np.array_equal(theta, self._written[:count]):
+        if (theta == self._written[:count]).all():
             return
         self._edits.write({name: field[:count] for name, field in self._fields.items()}, theta)
         if self._edits.needs_set_const:
@@ -265,9 +266,11 @@ def _groups(lengths: IntArray) -> list[tuple[IntArray, int]]:
 
 def _make_finite(rollouts: Rollouts) -> None:
     """Replace NaN and inf of diverged rollouts by 0, in place: a model without MuJoCo's reset keeps them."""
+    if rollouts.completed.all():
+        return
     failed = np.flatnonzero(~rollouts.completed)
     for values in (rollouts.qpos, rollouts.qvel, rollouts.sensordata):
-        if failed.size and values is not None:
+        if values is not None:
             values[failed] = np.nan_to_num(values[failed], posinf=0.0, neginf=0.0)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import Ending
 from amhe_cli.core.files import plain
-from amhe_cli.core.rotations import rotate, yaw_of
+from amhe_cli.core.rotations import rotate
 from amhe_cli.core.statistics import quantiles
 from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.live.episode import Cycle
@@ -296,10 +296,10 @@ def _motion(state: State, task: Task) -> dict[str, float]:
         "time": state.time,
         "trunk_x": float(trunk[0]),
         "trunk_y": float(trunk[1]),
-        "trunk_yaw": float(yaw_of(state.trunk.orientation)),
+        "trunk_yaw": state.trunk.yaw,
         "box_x": float(box[0]),
         "box_y": float(box[1]),
-        "box_yaw": float(yaw_of(state.box.orientation)),
+        "box_yaw": state.box.yaw,
         "foot_x": float(foot[0]),
         "foot_y": float(foot[1]),
         "foot_z": float(foot[2]),

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray, sealed
+from amhe_cli.core.arrays import FloatArray, columns, sealed
 
 LEGS = ("FR", "FL", "RR", "RL")
 KINDS = ("hip", "thigh", "calf")
@@ -55,8 +55,8 @@ def feet(joints: FloatArray) -> FloatArray:
         Centres of the feet in the trunk's frame [m], shape (..., 4, 3).
     """
     at = posture(joints)
-    return HIPS + np.stack(
-        (at.ahead, at.c * _ASIDE - at.s * at.down, at.s * _ASIDE + at.c * at.down), axis=-1
+    return HIPS + columns(
+        at.c.shape, at.ahead, at.c * _ASIDE - at.s * at.down, at.s * _ASIDE + at.c * at.down
     )
 
 
@@ -71,15 +71,16 @@ def joint_angles(feet: FloatArray) -> FloatArray:
     Returns:
         Angles [rad], shape (..., 12).
     """
-    x, y, z = np.moveaxis(feet - HIPS, -1, 0)
-    down = -np.sqrt(np.maximum(y**2 + z**2 - HIP_OFFSET**2, 1e-6))
-    hip = np.arctan2(z, y) - np.arctan2(down, _ASIDE)
-    hip = np.mod(hip + np.pi, 2.0 * np.pi) - np.pi
-    length = np.clip(np.hypot(x, down), _SHORTEST, _LONGEST)
+    from_hip = feet - HIPS
+    x, y, z = from_hip[..., 0], from_hip[..., 1], from_hip[..., 2]
+    square = np.maximum(y * y + z * z - HIP_OFFSET**2, 1e-6)
+    down = -np.sqrt(square)
+    hip = np.arctan2(z * _ASIDE - y * down, y * _ASIDE + z * down)  # from (aside, down) to (y, z)
+    length = np.minimum(np.maximum(np.sqrt(x * x + square), _SHORTEST), _LONGEST)
     # Thigh and calf are equally long: the line from hip to foot halves the knee's angle.
-    calf = -2.0 * np.arccos(length / (2.0 * LINK))
-    thigh = np.arctan2(-x, -down) - 0.5 * calf
-    return np.clip(_by_leg(hip, thigh, calf), LOWER, UPPER)
+    half = np.arccos(length / (2.0 * LINK))
+    angles = _by_leg(hip, np.arctan2(-x, -down) + half, -2.0 * half)
+    return np.minimum(np.maximum(angles, LOWER), UPPER)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,5 +148,4 @@ def posture(joints: FloatArray) -> Posture:
 
 def _by_leg(hip: FloatArray, thigh: FloatArray, calf: FloatArray) -> FloatArray:
     """Numbers of hips, thighs and calves, each (..., 4), in the order of joints (..., 12)."""
-    stacked = np.stack((hip, thigh, calf), axis=-1)
-    return stacked.reshape(*stacked.shape[:-2], 12)
+    return columns(hip.shape, hip, thigh, calf).reshape(*hip.shape[:-1], 12)

@@ -9,6 +9,9 @@ followed, where it reports them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from math import cos, sin
+from typing import Any
 
 import numpy as np
 
@@ -44,7 +47,7 @@ class SensorNoise:
     pose_period: float = 0.01
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Body:
     """Pose and twist of trunk or box; leading axes, where there are any, are those of time.
 
@@ -59,6 +62,12 @@ class Body:
     orientation: FloatArray
     velocity: FloatArray
     rate: FloatArray
+
+    @cached_property
+    def yaw(self) -> Any:
+        """Heading [rad], shape (...); a plain number at one instant."""
+        yaw = yaw_of(self.orientation)
+        return yaw if np.ndim(yaw) else float(yaw)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,9 +90,9 @@ class State:
 
 def heading_velocity(body: Body) -> tuple[float, float]:
     """Speed of one body at one instant ahead, and to the left, of its own heading [m/s]."""
-    yaw = float(yaw_of(body.orientation))
-    x, y = body.velocity[0], body.velocity[1]
-    return float(x * np.cos(yaw) + y * np.sin(yaw)), float(y * np.cos(yaw) - x * np.sin(yaw))
+    c, s = cos(body.yaw), sin(body.yaw)
+    x, y, _ = body.velocity.tolist()
+    return x * c + y * s, y * c - x * s
 
 
 def state_of(at: ModelLayout, time: float, qpos: FloatArray, qvel: FloatArray) -> State:

@@ -12,11 +12,12 @@ from __future__ import annotations
 from bisect import bisect
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from math import isfinite, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
+from amhe_cli.core.arrays import BoolArray, FloatArray, columns, sealed
 from amhe_cli.core.log import Samples
 from amhe_cli.robots.go1 import kinematics as legs
 from amhe_cli.robots.go1.kalman import Turn, ValueFilter
@@ -54,12 +55,13 @@ class Feet(NamedTuple):
 def poses(measured: Samples, body: str) -> list[Pose]:
     """The poses in which trunk or box was seen, in the order of time."""
     (times, positions), (_, orientations) = measured[f"{body}.position"], measured[f"{body}.orientation"]
-    sizes = np.sqrt(np.square(orientations).sum(axis=1))
-    # Some systems send zeros in place of a body that they have lost.
-    seen = np.isfinite(times) & np.isfinite(positions).all(axis=1) & np.isfinite(sizes) & (sizes > 0.5)
-    rows = np.flatnonzero(seen)
-    ordered = rows[np.argsort(times[rows], kind="stable")]
-    return [Pose(float(times[i]), positions[i], orientations[i] / sizes[i]) for i in ordered]
+    found = []
+    for time, position, orientation in zip(times.tolist(), positions, orientations, strict=True):
+        size = sqrt(orientation @ orientation)
+        # Some systems send zeros in place of a body that they have lost.
+        if size > 0.5 and isfinite(time + size + position.sum()):
+            found.append(Pose(time, position, orientation / size))
+    return sorted(found, key=lambda pose: pose.time)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +91,8 @@ class SensorSamples:
         if len(before):
             good &= times > before[-1, 0]
         rows = np.flatnonzero(good)
-        rows = rows[np.unique(times[rows], return_index=True)[1]]
+        if (times[rows[1:]] <= times[rows[:-1]]).any():
+            rows = rows[np.unique(times[rows], return_index=True)[1]]
         table = table[rows]
         return SensorSamples(table, standing(times)[rows], np.vstack((before[-2:], table[:, _SPIN])))
 
@@ -164,7 +167,7 @@ def trunk_velocities(
     # One sweep for places and velocities; the difference is exact to 1e-7 m/s and costs half of the Jacobian.
     places, after, before = legs.feet(joints + _INSTANT * joint_rates)
     bends = rates[..., 1] + rates[..., 2]
-    calves = np.stack((rates[..., 0], bends * np.cos(hips), bends * np.sin(hips)), axis=-1)
+    calves = columns(hips.shape, rates[..., 0], bends * np.cos(hips), bends * np.sin(hips))
     turning = _cross(gyro[:, None], places + down) + _cross(calves, down)
     return (before - after) / (2.0 * _DT) - turning
 
@@ -172,7 +175,8 @@ def trunk_velocities(
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """Like `np.cross` of vectors (..., 3), which takes twice as long for few of them."""
     ax, ay, az, bx, by, bz = (v[..., i] for v in (a, b) for i in range(3))
-    return np.stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), axis=-1)
+    x = ay * bz - az * by
+    return columns(x.shape, x, az * bx - ax * bz, ax * by - ay * bx)
 
 
 #: Poses that come later than this are left out; joints are not extrapolated any further than that [s].

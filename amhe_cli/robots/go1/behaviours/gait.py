@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.arrays import BoolArray, FloatArray, columns, sealed
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.robots.go1.kinematics import (
     FOOT_RADIUS,
@@ -119,10 +119,13 @@ def switches(gait: Gait, start: float, end: float) -> bool:
     return bool((before != after).any())
 
 
+#: Thighs' joints in the trunk's frame [m].
+_THIGHS = sealed(HIPS + np.outer(SIDE, [0.0, HIP_OFFSET, 0.0]))
+
+
 def neutral_feet(gait: Gait) -> FloatArray:
     """Feet straight below the thighs' joints, in the trunk's frame [m], shape (4, 3)."""
-    feet = HIPS + np.outer(SIDE, [0.0, HIP_OFFSET, 0.0])
-    return feet + np.array([0.0, 0.0, FOOT_RADIUS - gait.height])
+    return _THIGHS + np.array([0.0, 0.0, FOOT_RADIUS - gait.height])
 
 
 def walk(
@@ -162,22 +165,21 @@ def _steps(gait: Gait, phase: FloatArray, twist: FloatArray) -> tuple[FloatArray
     A standing foot goes back with the floor; a flying one comes forward on a cycloid, at rest over its
     places of lift-off and touch-down.
     """
-    shape = (*np.broadcast_shapes(phase.shape[:-1], twist.shape[:-1]), 4, 3)
+    shape = (*np.broadcast_shapes(phase.shape[:-1], twist.shape[:-1]), 4)
     if gait.duty >= 1.0:
-        return np.zeros(shape), np.zeros(shape)
+        return np.zeros((*shape, 3)), np.zeros((*shape, 3))
     flying = phase >= gait.duty
     stance, flight = gait.duty * gait.period, (1.0 - gait.duty) * gait.period
     turn = np.where(flying, 2.0 * np.pi * (phase - gait.duty) / (1.0 - gait.duty), 0.0)
     ground = stance * (0.5 - phase / gait.duty)
-    along = np.where(flying, stance * ((turn - np.sin(turn)) / (2.0 * np.pi) - 0.5), ground)
-    along_rate = np.where(flying, stance / flight * (1.0 - np.cos(turn)), -1.0)
-    lift = 0.5 * gait.swing * (1.0 - np.cos(turn))
-    lift_rate = gait.swing * np.pi / flight * np.sin(turn)
-    x, y, _ = neutral_feet(gait).T
-    ahead, left = twist[..., :1] - twist[..., 2:] * y, twist[..., 1:2] + twist[..., 2:] * x
-    places = np.broadcast_arrays(along * ahead, along * left, lift)
-    rates = np.broadcast_arrays(along_rate * ahead, along_rate * left, lift_rate)
-    return np.stack(places, axis=-1), np.stack(rates, axis=-1)
+    sine, bump = np.sin(turn), 1.0 - np.cos(turn)
+    along = np.where(flying, stance * ((turn - sine) / (2.0 * np.pi) - 0.5), ground)
+    along_rate = np.where(flying, stance / flight * bump, -1.0)
+    lift, lift_rate = 0.5 * gait.swing * bump, gait.swing * np.pi / flight * sine
+    x, y, turning = _THIGHS[:, 0], _THIGHS[:, 1], twist[..., 2:]
+    ahead, left = twist[..., :1] - turning * y, twist[..., 1:2] + turning * x
+    places = columns(shape, along * ahead, along * left, lift)
+    return places, columns(shape, along_rate * ahead, along_rate * left, lift_rate)
 
 
 def _loads(gait: Gait, phase: FloatArray) -> FloatArray:
@@ -185,7 +187,8 @@ def _loads(gait: Gait, phase: FloatArray) -> FloatArray:
     if gait.duty >= 1.0:
         return np.ones_like(phase)
     rise, fall = phase / gait.loading, (gait.duty - phase) / gait.loading
-    return np.where(phase < gait.duty, np.clip(np.minimum(rise, fall), _LEAST_LOAD, 1.0), 0.0)
+    load = np.minimum(np.maximum(np.minimum(rise, fall), _LEAST_LOAD), 1.0)
+    return np.where(phase < gait.duty, load, 0.0)
 
 
 def box_friction(belief: Mapping[str, float]) -> float:
@@ -209,12 +212,13 @@ def stance_weights(feet: FloatArray, load: FloatArray, centre: FloatArray) -> Fl
         Shares, shape (..., 4).
     """
     half_length = 0.2  # half the length of a Go1 [m]: scales moments to the size of forces
-    arms = (feet[..., :2] - centre[..., None, :]) / half_length
-    equations = np.concatenate((np.ones_like(arms[..., :1]), arms), axis=-1)  # (..., 4, 3)
-    weighted = equations * load[..., None]
-    normal = np.swapaxes(equations, -1, -2) @ weighted + np.diag([0.0, 1e-3, 1e-3])
-    multipliers = np.linalg.solve(normal, np.array([[1.0], [0.0], [0.0]]))
-    shares = np.maximum((weighted @ multipliers)[..., 0], 0.0)
+    x, y = np.moveaxis((feet[..., :2] - centre[..., None, :]) / half_length, -1, 0)
+    along, across = load * x, load * y
+    # multipliers solve normal @ multipliers = (1, 0, 0): up to a factor, the cofactors of its first row
+    b, c, xy = along.sum(-1), across.sum(-1), (along * y).sum(-1)
+    xx, yy = (along * x).sum(-1) + 1e-3, (across * y).sum(-1) + 1e-3
+    one, by_x, by_y = xx * yy - xy * xy, c * xy - b * yy, b * xy - c * xx
+    shares = np.maximum(load * one[..., None] + along * by_x[..., None] + across * by_y[..., None], 0.0)
     return shares / shares.sum(axis=-1, keepdims=True)
 
 
@@ -236,5 +240,5 @@ def ground_forces(
         Forces [N], shape (..., 4, 3).
     """
     shares = stance_weights(feet, load, gait.centre - push * (np.asarray(height)[..., None] / gait.weight))
-    force = np.concatenate((push, np.full((*push.shape[:-1], 1), gait.weight)), axis=-1)
-    return shares[..., None] * force[..., None, :]
+    ahead, left = push[..., :1], push[..., 1:]
+    return columns(shares.shape, shares * ahead, shares * left, shares * gait.weight)

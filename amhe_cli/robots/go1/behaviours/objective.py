@@ -7,11 +7,11 @@ is weighted, not the robot's alone: how hard to push for it depends on mass and 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.rotations import yaw_of
 from amhe_cli.robots.go1.state import Body
 
 #: The bumper's front in the trunk's frame, ahead of its origin [m].
@@ -101,7 +101,7 @@ def _shared_terms(
     return {
         "box_speed": at.pushing * w.box_speed * (speed - at.speed) ** 2,
         "box_left": w.box_left * drift**2,
-        "box_yaw": w.box_yaw * wrapped(yaw_of(box.orientation) - at.box_yaw - turned) ** 2,
+        "box_yaw": w.box_yaw * wrapped(box.yaw - at.box_yaw - turned) ** 2,
         "height": w.height * (trunk.position[..., 2] - height) ** 2,
         "tilt": w.tilt * tilt_squared(trunk.orientation),
         "box_tilt": w.box_tilt * tilt_squared(box.orientation),
@@ -113,7 +113,7 @@ def lean_terms(weights: SweepWeights, trunk: Body, lean: FloatArray) -> dict[str
     off = ((trunk.position[..., :2] - lean[:2]) ** 2).sum(axis=-1)
     return {
         "trunk_place": weights.trunk_place * off,
-        "trunk_turn": weights.trunk_turn * wrapped(yaw_of(trunk.orientation) - lean[2]) ** 2,
+        "trunk_turn": weights.trunk_turn * wrapped(trunk.yaw - lean[2]) ** 2,
     }
 
 
@@ -143,13 +143,12 @@ def push_terms(
     """
     w = weights
     turned = at.turn * elapsed
-    robot_yaw = yaw_of(trunk.orientation)
-    ahead = trunk.velocity[..., 0] * np.cos(robot_yaw) + trunk.velocity[..., 1] * np.sin(robot_yaw)
+    ahead = trunk.velocity[..., 0] * np.cos(trunk.yaw) + trunk.velocity[..., 1] * np.sin(trunk.yaw)
     _, left = bumper_from_box(trunk, box)
     return _shared_terms(w, trunk, box, height, at, turned) | {
         "robot_speed": w.robot_speed * (ahead - at.speed) ** 2,
         "robot_left": w.robot_left * (left - at.offset) ** 2,
-        "yaw": w.yaw * wrapped(robot_yaw - at.yaw - turned) ** 2,
+        "yaw": w.yaw * wrapped(trunk.yaw - at.yaw - turned) ** 2,
     }
 
 
@@ -169,22 +168,26 @@ def along_line(box: Body, at: Reference, turned: FloatArray | float) -> tuple[Fl
 
 def bumper_from_box(trunk: Body, box: Body) -> tuple[FloatArray, FloatArray]:
     """Middle of the bumper's front, ahead and left of the box's middle in the box's frame [m], each (...)."""
-    yaw, box_yaw = yaw_of(trunk.orientation), yaw_of(box.orientation)
-    dx = trunk.position[..., 0] + BUMPER * np.cos(yaw) - box.position[..., 0]
-    dy = trunk.position[..., 1] + BUMPER * np.sin(yaw) - box.position[..., 1]
-    c, s = np.cos(box_yaw), np.sin(box_yaw)
+    dx = trunk.position[..., 0] + BUMPER * np.cos(trunk.yaw) - box.position[..., 0]
+    dy = trunk.position[..., 1] + BUMPER * np.sin(trunk.yaw) - box.position[..., 1]
+    c, s = np.cos(box.yaw), np.sin(box.yaw)
     return c * dx + s * dy, c * dy - s * dx
 
 
 def tilt_squared(q: FloatArray) -> FloatArray:
-    """Squared sine of the angle between a body's z and the world's, shape (...)."""
-    w, x, y, z = (q[..., i] for i in range(4))
-    return 4.0 * ((x * z + w * y) ** 2 + (y * z - w * x) ** 2)
+    """Squared sine of the angle between a body's z and the world's, shape (...), by unit quaternions."""
+    square = q[..., 1] ** 2 + q[..., 2] ** 2  # squared sine of half the angle
+    return 4.0 * square * (1.0 - square)
 
 
-def wrapped(angle: FloatArray | float) -> FloatArray:
-    """The same angle in [-pi, pi)."""
-    return np.mod(np.asarray(angle) + np.pi, 2.0 * np.pi) - np.pi
+def wrapped(angle: Any) -> Any:
+    """The same angle in [-pi, pi): of an array (...), or of a plain number."""
+    return (angle + np.pi) % (2.0 * np.pi) - np.pi
+
+
+def limited(value: float, limit: float) -> float:
+    """The nearest number within a limit on either side of zero."""
+    return max(-limit, min(value, limit))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -223,9 +226,9 @@ class Course:
         """Last point of the path [m], shape (2,)."""
         return self.points(np.array([self.length]))[0]
 
-    def tapered(self, progress: FloatArray | float, taper: float) -> float:
+    def tapered(self, progress: float, taper: float) -> float:
         """Share of the speed that is left along the path: 1, going to 0 over the last `taper` [m]."""
-        return float(np.clip((self.length - progress) / taper, 0.0, 1.0))
+        return min(max((self.length - progress) / taper, 0.0), 1.0)
 
     def nearest(self, point: FloatArray, place: Place) -> FloatArray:
         """The point of the path beside a point [m] (2,) whose place is known, shape (2,)."""
@@ -271,7 +274,7 @@ class Plane:
     @staticmethod
     def under(body: Body) -> Plane:
         """The frame that a body stands in."""
-        return Plane(np.array(body.position[:2]), float(yaw_of(body.orientation)))
+        return Plane(np.array(body.position[:2]), body.yaw)
 
     def place(self, point: FloatArray) -> FloatArray:
         """A point of the world (3,) in this frame [m], shape (3,)."""
@@ -280,7 +283,7 @@ class Plane:
 
     def turn(self, body: Body) -> float:
         """Heading of a body in this frame [rad]."""
-        return float(wrapped(yaw_of(body.orientation) - self.yaw))
+        return wrapped(body.yaw - self.yaw)
 
     def pose(self, body: Body) -> FloatArray:
         """Place ahead and left [m] and heading [rad] of a body in this frame, shape (3,)."""

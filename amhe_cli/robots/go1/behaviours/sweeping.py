@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
-from amhe_cli.core.rotations import yaw_of
 from amhe_cli.robots.go1.behaviours.gait import (
     Gait,
     LegTargets,
@@ -34,6 +33,7 @@ from amhe_cli.robots.go1.behaviours.objective import (
     Reference,
     SweepWeights,
     lean_terms,
+    limited,
     sweep_terms,
 )
 from amhe_cli.robots.go1.kinematics import FOOT_RADIUS, feet
@@ -369,20 +369,20 @@ class Sweeping:
 
     def _step_aside(self, state: State, at: Reference) -> SweepMove:
         """Trot to where the next sweep begins."""
-        limit, turn = self.shape.aside, float(yaw_of(state.trunk.orientation))
+        limit, turn = self.shape.aside, state.trunk.yaw
         missing = self._goal - state.trunk.position[:2]
         if np.abs(missing).max() > _NEAR:
             self.begun = min(state.time + _SETTLING, self._latest)
         speed = np.clip(2.0 * missing, -limit, limit)
         in_trunk = Plane(np.zeros(2), turn).place(np.array([*speed, 0.0]))[:2]
-        command = np.array([*in_trunk, np.clip(-3.0 * turn, -0.4, 0.4), 0.0, 0.0, 0.0])
+        command = np.array([*in_trunk, limited(-3.0 * turn, 0.4), 0.0, 0.0, 0.0])
         ahead = np.array([*(state.trunk.position[:2] + _PLANNED * speed), 0.0])
         return SweepMove(self, np.zeros(3), None, self._planted, ahead, replace(at, speed=0.0), command)
 
     def _contact(self, stance: Plane, box: Body) -> tuple[float, float]:
         """Where to push: the push's line, and where the middle of a foot is that touches the face [m]."""
         s, place = self.shape, stance.place(box.position)
-        aside = float(np.clip(s.yaw_gain * stance.turn(box), -s.yaw_limit, s.yaw_limit))
+        aside = limited(s.yaw_gain * stance.turn(box), s.yaw_limit)
         return float(place[0]) + aside, float(place[1]) + self.half_width + FOOT_RADIUS
 
     def _prepare(self, stance: Plane, state: State, line: float, face: float, at: Reference) -> SweepMove:
@@ -398,7 +398,7 @@ class Sweeping:
         """Speed of the foot to the right [m/s], negative on its way back, and its force on the box [N]."""
         s = self.shape
         if self._over:
-            return -float(np.clip(self._start_y - y, 0.0, s.return_speed)), 0.0
+            return -min(max(self._start_y - y, 0.0), s.return_speed), 0.0
         if support_margin(self._planted, trunk) < s.margin:
             return 0.0, 0.0
         if y - face >= s.touching:
@@ -438,7 +438,7 @@ class Sweeping:
 
     def _reference(self, state: State) -> Reference:
         place = self.path.place(state.box.position[:2])
-        speed = self.shape.speed * self.path.tapered(place.progress, self.taper)
+        speed = self.shape.speed * self.path.tapered(float(place.progress), self.taper)
         return Reference(
             time=state.time,
             speed=speed if state.time >= self._begin else 0.0,

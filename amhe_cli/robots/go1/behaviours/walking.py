@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from math import hypot
 
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
-from amhe_cli.core.rotations import yaw_of
 from amhe_cli.robots.go1.behaviours.gait import Gait, box_friction, contacts, switches, walk
 from amhe_cli.robots.go1.behaviours.objective import (
     Course,
@@ -22,6 +22,7 @@ from amhe_cli.robots.go1.behaviours.objective import (
     PushWeights,
     Reference,
     bumper_from_box,
+    limited,
     push_terms,
     wrapped,
 )
@@ -67,8 +68,8 @@ class Pacing:
         self._missing += (missing - self._missing) * passed / self.smoothing
         beyond = self._missing
         if self._missing * self.share >= 0.0:
-            beyond -= float(np.clip(self._missing, -self.free, self.free))
-        self.share = float(np.clip(self.share + self.gain * passed * beyond, -self.limit, self.limit))
+            beyond -= limited(self._missing, self.free)
+        self.share = limited(self.share + self.gain * passed * beyond, self.limit)
 
 
 @dataclass(slots=True, eq=False)
@@ -98,9 +99,8 @@ class Insisting:
         begun, first = self._seen[0]
         known = time - begun > 0.9 * self.window
         stands = known and progress - first < self.least * speed * (time - begun)
-        self.share = float(
-            np.clip(self.share + passed * (self.gain if stands else -self.gain), 0.0, self.limit)
-        )
+        more = passed * (self.gain if stands else -self.gain)
+        self.share = min(max(self.share + more, 0.0), self.limit)
 
     def rest(self) -> None:
         """The box is not pushed."""
@@ -185,55 +185,42 @@ class Helm:
 
     def on_path(self, state: State) -> Reference:
         """The fixed path reference: what the task demands, whether or not it can be done."""
-        return self._on_path(state, self._path.place(state.box.position[:2]))
+        place = self._path.place(state.box.position[:2])
+        origin, heading = self._path.nearest(state.box.position[:2], place), float(place.heading)
+        return Reference(state.time, self._commanded(place), origin, heading, yaw=heading, box_yaw=heading)
 
-    def _on_path(self, state: State, place: Place) -> Reference:
-        heading = float(place.heading)
-        return Reference(
-            time=state.time,
-            speed=self._speed * self._path.tapered(place.progress, self._taper),
-            origin=self._path.nearest(state.box.position[:2], place),
-            heading=heading,
-            yaw=heading,
-            box_yaw=heading,
-        )
+    def _commanded(self, place: Place) -> float:
+        return self._speed * self._path.tapered(float(place.progress), self._taper)
 
     def reference(self, state: State, overlap: float = 0.0) -> Reference:
         """What the controller is to do now, if the box's face is so far behind its stated place [m]."""
         place, s = self._path.place(state.box.position[:2]), self._steering
-        path = self._on_path(state, place)
-        normal = np.array([-np.sin(path.heading), np.cos(path.heading)])
-        astray = float(normal @ (state.box.position[:2] - path.origin))
-        back = float(np.clip(s.path_gain * astray, -s.path_limit, s.path_limit))
-        heading = path.heading + self._path.curvature * s.ahead - back
-        box_yaw = float(yaw_of(state.box.orientation))
-        missing = float(wrapped(heading - box_yaw))
-        offset = -float(np.clip(s.offset_gain * missing, -s.offset_limit, s.offset_limit))
-        yaw = box_yaw + float(np.clip(missing, -s.yaw_limit, s.yaw_limit))
-        speed = self._aim(path.speed, float(place.progress))
-        wanted = replace(
-            path,
-            speed=speed,
-            turn=speed * self._path.curvature,
-            heading=heading,
-            yaw=yaw,
-            box_yaw=heading,
-            offset=offset,
-        )
+        origin = self._path.nearest(state.box.position[:2], place)
+        progress, box_yaw, commanded = float(place.progress), state.box.yaw, self._commanded(place)
+        back = limited(s.path_gain * float(place.left), s.path_limit)
+        heading = float(place.heading) + self._path.curvature * s.ahead - back
+        missing = wrapped(heading - box_yaw)
+        offset = -limited(s.offset_gain * missing, s.offset_limit)
+        speed = self._aim(commanded, progress)
         gap, left = self.gap(state, overlap)
-        self._judge(gap, left - offset, left, float(wrapped(yaw_of(state.trunk.orientation) - box_yaw)))
+        self._judge(gap, left - offset, left, wrapped(state.trunk.yaw - box_yaw))
         if self.retreating:
             speed = -self._retreat.speed if gap < self._retreat.clear else 0.0
-            return replace(wanted, speed=speed, turn=0.0, yaw=box_yaw, pushing=0.0)
+            return Reference(
+                state.time, speed, origin, heading, box_yaw, box_yaw=heading, offset=offset, pushing=0.0
+            )
         touching = gap < s.touching
-        if touching and path.speed == self._speed:  # not while the commanded speed falls
-            self._pacing.update(state.time, 1.0 - float(heading_velocity(state.trunk)[0]) / self._speed)
+        if touching and commanded == self._speed:  # not while the commanded speed falls
+            self._pacing.update(state.time, 1.0 - heading_velocity(state.trunk)[0] / self._speed)
         if touching and speed > 0.0:
-            self._insisting.update(state.time, float(place.progress), speed)
+            self._insisting.update(state.time, progress, speed)
         else:
             self._insisting.rest()
         more = self._insisting.share
-        return replace(wanted, pushing=float(touching), speed=(1.0 + more) * speed, harder=more)
+        return Reference(
+            state.time, (1.0 + more) * speed, origin, heading, box_yaw + limited(missing, s.yaw_limit),
+            heading, speed * self._path.curvature, offset, float(touching), more,
+        )  # fmt: skip
 
     def _aim(self, commanded: float, progress: float) -> float:
         s = self._steering
@@ -285,7 +272,7 @@ class Stepping:
             standing: Which feet are on the floor, shape (4,).
         """
         passed, self._time = 0.0 if self._time is None else time - self._time, time
-        wanted = np.clip(self.gain * drift, -self.limit, self.limit)
+        wanted = limited(self.gain * drift, self.limit)
         share = min(1.0, max(0.0, passed) / self.settling)
         self._left = np.where(standing, self._left, self._left + share * (wanted - self._left))
         return self._left
@@ -384,7 +371,8 @@ class Walking:
     def move(self, state: State, belief: Mapping[str, float]) -> WalkMove:
         """See `Behaviour`."""
         at = self.helm.reference(state, belief.get("face_overlap", 0.0))
-        at = replace(at, speed=at.speed * min(1.0, state.time / self.gains.start_time))
+        if state.time < self.gains.start_time:
+            at = replace(at, speed=at.speed * state.time / self.gains.start_time)
         command = self._command(state, at, box_friction(belief))
         drift = heading_velocity(state.trunk)[1] - command[1]
         left = self.stepping.update(state.time, drift, self.standing(np.array(state.time)))
@@ -399,10 +387,10 @@ class Walking:
     def _command(self, state: State, at: Reference, resistance: float) -> FloatArray:
         g = self.gains
         _, left = bumper_from_box(state.trunk, state.box)
-        sideways = np.clip(g.left * (at.offset - left), -g.left_limit, g.left_limit)
+        sideways = limited(g.left * (at.offset - float(left)), g.left_limit)
         # on a curve, what turns flush with the box goes aside as fast as it is behind the box's middle
-        behind = np.linalg.norm((state.box.position - state.trunk.position)[:2])
-        sideways -= at.pushing * at.turn * behind
-        turn = at.turn + g.yaw * wrapped(at.yaw - yaw_of(state.trunk.orientation))
-        push = at.pushing * (1.0 + at.harder) * resistance * np.clip(at.speed / g.full_push, 0.0, 1.0)
-        return np.array([at.speed, sideways, np.clip(turn, -g.yaw_limit, g.yaw_limit), push])
+        ahead, aside, _ = (state.box.position - state.trunk.position).tolist()
+        sideways -= at.pushing * at.turn * hypot(ahead, aside)
+        turn = at.turn + g.yaw * wrapped(at.yaw - state.trunk.yaw)
+        push = at.pushing * (1.0 + at.harder) * resistance * min(max(at.speed / g.full_push, 0.0), 1.0)
+        return np.array([at.speed, sideways, limited(turn, g.yaw_limit), push])

@@ -8,9 +8,8 @@ from itertools import accumulate
 
 import numpy as np
 
-from amhe_cli.core.rotations import yaw_of
 from amhe_cli.robots.go1.behaviours.gait import Gait
-from amhe_cli.robots.go1.behaviours.objective import Course, PushWeights, Reference
+from amhe_cli.robots.go1.behaviours.objective import Course, PushWeights, Reference, limited
 from amhe_cli.robots.go1.behaviours.walking import Helm, WalkGains, Walking
 from amhe_cli.robots.go1.model import Box
 from amhe_cli.robots.go1.state import State
@@ -135,8 +134,7 @@ class ScoreHelm(Helm):
         )
         if phase.offset is None:
             return at
-        yaw = float(yaw_of(state.box.orientation))
-        offset = max(-WIDEST_OFFSET, min(phase.offset, WIDEST_OFFSET))
+        yaw, offset = state.box.yaw, limited(phase.offset, WIDEST_OFFSET)
         return replace(at, offset=offset, heading=yaw, yaw=yaw, box_yaw=yaw)
 
 
@@ -180,7 +178,7 @@ class Stroll(Helm):
         speed, turn = float(speeds[phase]), float(turns[phase])
         return Reference(
             state.time, speed, state.trunk.position[:2], heading=yaw, yaw=yaw, turn=turn, pushing=0.0,
-            box_yaw=float(yaw_of(state.box.orientation)),
+            box_yaw=state.box.yaw,
         )  # fmt: skip
 
 
