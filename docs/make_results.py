@@ -1,4 +1,4 @@
-"""Fill docs/results.md from the stored studies of docs/results/: `make results-report`.
+"""Fill docs/results.md from the stored studies of docs/results/: `make results-report`, with Chromium.
 
 A study is a folder that `amhe eval -o docs/results/NAME` wrote. Its result files are packed into one file,
 `cells.zip`, and kept; all else is made of them.
@@ -12,6 +12,7 @@ import os
 import re
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from amhe_cli.report.study.page import write_study
 from amhe_cli.robots.go1.run import MODES
@@ -19,9 +20,26 @@ from amhe_cli.robots.go1.tasks import TASKS
 from amhe_cli.study.store import Store, open_store
 
 DOCS = Path(__file__).parent
+sys.path.insert(0, str(DOCS.parent))
+from tests.view.browser import browser  # noqa: E402
+
 STUDIES = DOCS / "results"
 PAGE = DOCS / "results.md"
 BLOCK = re.compile(r"<!-- results (?P<study>[\w-]+)/(?P<what>\w+) -->\n.*?<!-- end -->", re.DOTALL)
+
+#: Part of a study's page -> the picture that is taken of it.
+PICTURES = {
+    "paths-of-the-box": "paths",
+    "tracking-of-the-forward-speed": "speed",
+    "density-of-the-running-cost": "costs",
+    "parameters-over-time": "parameters",
+    "t5-final-configuration": "final",
+    "ablations": "ablations",
+}
+#: Shows the figures of a part at the top of the window, and tells their height [px]; 0: it has none.
+SHOW = """(() => {{ const all = [...document.querySelectorAll('#{0}')];
+const it = all.map((one) => one.querySelector('figure.plots')).find((one) => one);
+document.querySelector('nav')?.remove(); it?.scrollIntoView(); return it?.offsetHeight ?? 0; }})()"""
 
 
 def main() -> None:
@@ -35,8 +53,21 @@ def main() -> None:
         store = open_store(folder)
         store.pack()
         found = write_study(store, {name: task.floor for name, task in TASKS.items()}, MODES)
+        take_pictures(folder)
         print(f"{folder.name}: {found.cells} cells")
     PAGE.write_text(filled(PAGE.read_text(encoding="utf-8"), PAGE.parent), encoding="utf-8")
+
+
+def take_pictures(folder: Path) -> None:
+    """The figures of a study's page as pictures, in its folder `figures`."""
+    (folder / "figures").mkdir(exist_ok=True)
+    with TemporaryDirectory(ignore_cleanup_errors=True) as scratch, browser(Path(scratch)) as one:
+        for part, name in PICTURES.items():
+            one.open((folder / "report.html").resolve().as_uri(), 1180, 800)
+            if height := int(one.run(SHOW.format(part))):
+                one.open((folder / "report.html").resolve().as_uri(), 1180, height)
+                one.run(SHOW.format(part))
+                one.picture(folder / "figures" / f"{name}.png")
 
 
 def filled(text: str, beside: Path) -> str:

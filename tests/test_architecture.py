@@ -58,7 +58,6 @@ WALLS = {
     "jinja2": ("web",),
     "lz4": ("logs",),
     "markupsafe": ("web", "report", "view"),
-    "matplotlib": ("report",),
     "mcap": ("logs",),
     "motioncapture": ("robots/go1",),
     "mujoco": ("system", "init", "check", "audit", "engine", "view", "robots/go1", "api/identify.py"),

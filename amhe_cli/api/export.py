@@ -25,8 +25,9 @@ from amhe_cli.system.export.trainings import ISAACLAB_TOOL, MJLAB_TOOL
 from amhe_cli.system.export.urdf import identified_urdf
 from amhe_cli.system.system import System
 
+_TRAININGS = {"mjlab": MJLAB_TOOL, "isaaclab": ISAACLAB_TOOL}
 #: What a belief can be exported to.
-KINDS = ("mjcf", "urdf", "samples", "mjlab", "isaaclab", "xacro", *WRITERS)
+KINDS = ("mjcf", "urdf", "samples", *_TRAININGS, "xacro", *WRITERS)
 
 
 def export(
@@ -79,26 +80,33 @@ def export(
     opened, given = system_of(read, source, system).starting_from(belief, belief_anyway=belief_anyway)
     assert given is not None, "a belief was given"
     known, folder = completed(given, opened), reserve(Path(out), "export", force)
-    contents: dict[str, str | FloatArray] = {}
-    if to == "urdf" and urdf is None:
-        raise ConfigError("`urdf`: give the URDF that the values are written into, or take mjcf")
-    if urdf is not None and to in ("urdf", "isaaclab"):
-        contents["identified.urdf"] = identified_urdf(opened, known.estimate, Path(urdf))
-    elif to == "xacro":
-        contents["identified.xacro"] = xacro_properties(opened, known.estimate)
-    elif to in WRITERS:
-        if flange is None:
-            raise ConfigError("`flange`: name the body whose load is written")
-        contents[WRITERS[to][0]] = load_text(opened, known.estimate, flange, to)
-    elif to != "samples":
-        contents["identified.xml"] = identified_xml(opened, known.estimate)
-    for tool, name in ((MJLAB_TOOL, "mjlab"), (ISAACLAB_TOOL, "isaaclab")):
-        if to == name:
-            contents[f"{name}_events.py"] = randomisation(opened, known, tool)
     if to == "samples":
-        contents |= _samples(opened, known, count, models, seed)
+        contents = _samples(opened, known, count, models, seed)
+    else:
+        contents = _values(opened, known, to, None if urdf is None else Path(urdf), flange)
     _write(folder, opened, contents)
     return [folder / name for name in contents]
+
+
+def _values(
+    system: System, belief: Belief, to: str, urdf: Path | None, flange: str | None
+) -> dict[str, str | FloatArray]:
+    """File -> content: the estimate in a model or a load, and what a training draws from."""
+    if to in WRITERS:
+        if flange is None:
+            raise ConfigError("`flange`: name the body whose load is written")
+        return {WRITERS[to][0]: load_text(system, belief.estimate, flange, to)}
+    if to == "xacro":
+        return {"identified.xacro": xacro_properties(system, belief.estimate)}
+    if to == "urdf" and urdf is None:
+        raise ConfigError("`urdf`: give the URDF that the values are written into, or take mjcf")
+    model: dict[str, str | FloatArray] = (
+        {"identified.urdf": identified_urdf(system, belief.estimate, urdf)}
+        if urdf is not None and to in ("urdf", "isaaclab")
+        else {"identified.xml": identified_xml(system, belief.estimate)}
+    )
+    tool = _TRAININGS.get(to)
+    return model | ({f"{to}_events.py": randomisation(system, belief, tool)} if tool else {})
 
 
 def system_of(belief: Belief, source: str, system: System | str | Path | None) -> System:

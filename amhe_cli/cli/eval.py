@@ -71,7 +71,7 @@ def evaluate(session: Session, given: Given) -> None:
     """Run tasks in modes over seeds, and make the paper's tables and figures of what came out.
 
     Each run is a cell with a result file of its own in OUT/cells; what is done is kept, whatever stops the
-    rest. Writes summary.json, tables (Markdown, LaTeX, CSV), figures (PNG, PDF) and report.html.
+    rest. Writes summary.json, tables (Markdown, LaTeX, CSV) and report.html with the figures.
     Exit code 1 where a cell brought no result.
     """
     from amhe_cli.study.executors import pool_of

@@ -143,7 +143,7 @@ def _values(panel: Panel) -> dict[str, Any]:
     found = {
         name: value
         for name in ("title", "unit", "x", "log", "low", "high", "equal", "height")
-        if (value := getattr(panel, name)) not in ("", None, False)
+        if (value := getattr(panel, name)) not in ("", None) and value is not False  # 0 is an end
     }
     for name in ("title", "x"):
         found[name] = printable(found[name])

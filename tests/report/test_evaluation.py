@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.report.study import tables
-from amhe_cli.report.study.figures import drawn, one_leg_figure, over_time, since_change
+from amhe_cli.report.study.figures import drawn, final, over_time, since_change
 from amhe_cli.report.study.page import study_page
 from amhe_cli.robots.go1.tasks import TASKS
 from amhe_cli.study.cells import Cell, Setting, setting_of
@@ -18,6 +18,7 @@ from amhe_cli.study.goals import change_of, goals
 from amhe_cli.study.store import Study, start
 from amhe_cli.study.summary import Groups, ablations
 from tests.study.cells_at_play import CODE, record, result
+from tests.web.figures import panels
 
 MODES = ("true", "baseline", "stale", "adaptive")
 DEFAULTS = {"control.samples": 8}
@@ -116,19 +117,32 @@ def test_numbers_of_the_csv_are_not_rounded(groups: Groups) -> None:
     assert float(cost["low"]) < 1040.0 < float(cost["high"])
 
 
-@pytest.mark.medium
-def test_every_figure_is_written_twice_and_drawn_for_the_page(groups: Groups, tmp_path: Path) -> None:
-    pictures = drawn(groups, ablations(groups, DEFAULTS), FLOORS, tmp_path)
-    names = {"paths", "speed", "costs", "parameters", "final", "ablations"}
-    assert {path.name for path in tmp_path.iterdir()} == {f"{n}.{s}" for n in names for s in ("png", "pdf")}
-    assert [str(picture.figure).count("<svg") for picture in pictures] == [1] * len(pictures)
+def test_figures_show_every_mode_and_what_is_true(groups: Groups) -> None:
+    sections = {
+        one.title: panels(str(one.figure)) for one in drawn(groups, ablations(groups, DEFAULTS), FLOORS)
+    }
+    assert list(sections) == [
+        "Paths of the box", "Tracking of the forward speed", "Density of the running cost",
+        "Parameters over time", "T5: final configuration", "Ablations",
+    ]  # fmt: skip
+    for panel in sections["Tracking of the forward speed"]:
+        task = panel["title"].partition(":")[0].lower()
+        names = [line["name"] for line in panel["lines"]]
+        assert names[:-1] == [group.mode for group in groups.of(task)] and names[-1].startswith("command")
+    densities = sections["Density of the running cost"][0]["lines"]
+    for line in densities:
+        x, y = np.array(line["x"]), np.array(line["y"])
+        assert np.sum(y) * (x[1] - x[0]) == pytest.approx(1.0, rel=0.05)
+    cost, success = sections["Ablations"][:2]
+    assert cost["lines"][0]["x"] == success["lines"][0]["x"] == [8, 16]
+    assert cost["marks"][0]["at"] == 8.0 and max(success["lines"][0]["y"]) <= 100.0
 
 
 def test_the_box_that_was_measured_is_the_one_that_is_drawn() -> None:
     def widths(setting: Setting) -> set[float]:
         groups = Groups([result(Cell("t5", "true", 0, setting))], setting, tuple(TASKS), MODES)
-        lines = one_leg_figure(groups, "t5", FLOORS["t5"]).axes[0].get_lines()
-        return {round(float(np.ptp(line.get_ydata())), 6) for line in lines}
+        (panel,) = final(groups, "t5", FLOORS["t5"])
+        return {round(float(np.ptp(line.y)), 6) for line in panel.lines}
 
     assert 0.3 in widths(())
     assert 0.3 not in widths(setting_of({"boxes.box": [0.2, 0.44, 0.3]}))

@@ -75,7 +75,7 @@ def study(folder: Path) -> Iterator[Sequence[str]]:
     groups = Groups([result(cell, worse[cell.mode]) for cell in cells], (), tuple(TASKS), modes)
     tried, floors = ablations(groups, {"control.samples": 8}), {n: task.floor for n, task in TASKS.items()}
     failed = {"t1 adaptive 3": "SimulationError: the plant diverged"}
-    shown = drawn(groups, tried, floors, folder)
+    shown = drawn(groups, tried, floors)
     page = study_page(Study({}, {}, machine={}), groups, failed, tables(groups, tried, goals(groups)), shown)
     (folder / "report.html").write_text(page, encoding="utf-8")
     yield ["report.html"]

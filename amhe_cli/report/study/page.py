@@ -38,7 +38,7 @@ class Report:
 
 
 def write_study(store: Store, floors: Floors, modes: Sequence[str]) -> Report:
-    """Write summary.json, tables/, figures/ and report.html of all cells of a study.
+    """Write summary.json, tables/ and report.html of all cells of a study.
 
     Args:
         store: Store of the study.
@@ -57,7 +57,7 @@ def write_study(store: Store, floors: Floors, modes: Sequence[str]) -> Report:
     for table in made:
         for suffix, form in FORMATS.items():
             write_file(store.folder / "tables" / f"{table.name}.{suffix}", form(table))
-    pictures = drawn(groups, tried, floors, store.folder / "figures")
+    pictures = drawn(groups, tried, floors)
     write_page(store.folder, lambda: study_page(store.study, groups, failures, made, pictures))
     return Report(len(results) - len(failures), failures, content, made)
 
