@@ -126,11 +126,7 @@ def audit(
         EstimationError: No clip of the logs can be used.
     """
     settings = merged({"identify": {"profile_points": 0}}, merged(proposal.settings, settings or {}))
-    claims = claims_of(proposal, AssumedSettings())
-    if claims:  # a system reads its settings, and says what is wrong with them
-        guesses = [claim.guess(True) for claim in claims]
-        read_for = replace(proposal, parameters=guesses).system(name, settings)
-        claims = claims_of(proposal, read_for.settings.identify.assumed)
+    claims = claims_of(proposal, _assumed(settings))
     if not claims:
         raise ConfigError("the model says no number of a joint that the log measures")
     doubts, logs = doubts_of(proposal), tuple[Log, ...]()
@@ -148,6 +144,8 @@ def audit(
     # rollouts of all clips take their time, and data sheets are held against what some of them say
     search, wrong = None, frozenset[Group]()
     for clips, length in ((None, None),) if proposal.match == "effort" else _CLIPS:
+        if search is not None and search.watch.interrupted:
+            break
         try:
             search, wrong = _without_suspects(partial(searched, clips, length), claims, wrong, search)
         except EstimationError:
@@ -158,6 +156,14 @@ def audit(
     found, system = concluded(search, quick=True), search.problem.system
     lines = _lines(system, found, claims, wrong, logs)
     return Audit(tuple(lines), system, found, tuple(claims), proposal)
+
+
+def _assumed(settings: Mapping[str, Any]) -> AssumedSettings:
+    """What data sheets are worth by some settings; what is wrong with these the first system says."""
+    try:
+        return AssumedSettings(**settings["identify"].get("assumed", {}))
+    except (TypeError, ValueError):
+        return AssumedSettings()
 
 
 def _without_suspects(
@@ -173,41 +179,47 @@ def _without_suspects(
     """
     search, refused, aside = searched(wrong, near), frozenset[Group](), frozenset[Group]()
     tried = {wrong}
-    for _ in range(_ROUNDS):
-        evidence, begin = _sketched(search), search
-        sheets = _sheets(evidence, search.problem.system, claims)
-        sets = wrong_sheets(evidence, sheets, wrong)
-        if _straight(search):
-            likely = next(iter(sets)) - refused - aside
-        else:  # slopes that bend show where to go next, not how far: one sheet, and another linearisation
-            likely = next(one for one in sets if len(one ^ wrong) <= 1 and not one & refused)
-        if likely <= wrong and (far := _far_off(search, sheets, wrong | refused)):
-            (more, begin) = far
-            likely = wrong | {more}
-        new = likely - wrong
-        if likely not in tried:
-            tried.add(likely)
-            other = searched(likely, begin)
-            if _cost(other) <= (1.0 + _RISES) * _cost(search):
-                search, wrong, refused, aside = other, likely, frozenset(), frozenset()
-                continue
-        elif len(new) < 2:
-            break
-        if len(new) > 1:  # the strongest alone, then the others
-            aside |= new - {max(new, key=lambda name: sets[wrong | {name}])}
-        else:
-            refused, aside = refused | new, frozenset()
+    try:
+        for _ in range(0 if search.watch.interrupted else _ROUNDS):
+            evidence, begin = _sketched(search), search
+            sheets = _sheets(evidence, search.problem.system, claims)
+            sets = wrong_sheets(evidence, sheets, wrong)
+            if _straight(search):
+                likely = next(iter(sets)) - refused - aside
+            else:  # slopes that bend show where to go next, not how far: one sheet, and another linearisation
+                likely = next(one for one in sets if len(one ^ wrong) <= 1 and not one & refused)
+            if likely <= wrong and (far := _far_off(search, sheets, wrong | refused)):
+                (more, begin) = far
+                likely = wrong | {more}
+            new = likely - wrong
+            if likely not in tried:
+                tried.add(likely)
+                other = searched(likely, begin)
+                if other.watch.interrupted:
+                    raise KeyboardInterrupt
+                if _cost(other) <= (1.0 + _RISES) * _cost(search):
+                    search, wrong, refused, aside = other, likely, frozenset(), frozenset()
+                    continue
+            elif len(new) < 2:
+                break
+            if len(new) > 1:  # the strongest alone, then the others
+                aside |= new - {max(new, key=lambda name: sets[wrong | {name}])}
+            else:
+                refused, aside = refused | new, frozenset()
+    except KeyboardInterrupt:  # what was found so far is told
+        search.watch.interrupted = True
     return search, wrong
 
 
 def _sheets(evidence: Findings, system: System, claims: Sequence[Claim]) -> Sheets[Group]:
     """The data sheets of the file; what it does not say is known by its prior."""
     file, right = np.array(evidence.prior)
-    wide, groups = right.copy(), dict[Group, list[int]]()
+    wide, least, groups = right.copy(), np.full(len(right), -np.inf), dict[Group, list[int]]()
     for row, claim in zip(_rows(system, claims), claims, strict=True):
         file[row], right[row], wide[row] = claim.phi(claim.value), claim.sd, claim.wide
+        least[row] = claim.least
         groups.setdefault(claim.group, []).append(row)
-    return Sheets(groups, file, right, wide)
+    return Sheets(groups, file, right, wide, least)
 
 
 def _cost(search: Search) -> float:
@@ -282,16 +294,17 @@ def _lines(
     rows, sheets = _rows(system, claims), _sheets(evidence, system, claims)
     log, sheet, factor = system.space.log[rows], sheets.right[rows], np.array([c.factor for c in claims])
     logged, chance = judged(evidence, sheets, wrong_sheets(evidence, sheets, doubted), rows, log)
-    wrong = contradicted(chance) & (not found.unexplained)
+    unjudged = _unjudged(found)
+    wrong = contradicted(chance) & (not unjudged)
     value = factor * theta_of(log, logged.mean)
     sd = logged.sd * np.where(log, value, factor)
-    verdicts = verdicts_of(wrong, (logged.sd <= sheet) & (not found.unexplained))
+    verdicts = verdicts_of(wrong, (logged.sd <= sheet) & (not unjudged))
     weight = _weights(system, found, claims, wrong, logs)
     lines = [
         Line(
             c.number.of, c.number.what, c.number.unit, c.parameter, c.value, float(value[i]), float(sd[i]),
             float(logged.t[i]), float(chance[i]), verdicts[i], weight[i],
-            _cure(system, found, evidence, c) if verdicts[i] == VERDICTS[2] else "",
+            unjudged or _cure(system, found, evidence, c) if verdicts[i] == VERDICTS[2] else "",
         )
         for i, c in enumerate(claims)
     ]  # fmt: skip
@@ -325,10 +338,15 @@ def _weights(
     return [next(worth) if bad else 0.0 for bad in wrong]
 
 
+def _unjudged(found: Identification) -> str:
+    """Why no number is judged; '' where numbers are."""
+    if found.interrupted:
+        return "the search was interrupted, and its values are the best so far"
+    return "no value explains these logs, and none can be judged by them" if found.unexplained else ""
+
+
 def _cure(system: System, found: Identification, evidence: Findings, claim: Claim) -> str:
     """What would tell a number."""
-    if found.unexplained:
-        return "no value explains these logs, and none can be judged by them"
     row = system.space.names.index(claim.parameter)
     idle = any(reason.kind == "idle" for reason in found.parameters[row].reasons)
     if claim.number.kind == "force_limit" and idle:

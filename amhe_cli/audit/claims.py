@@ -68,6 +68,11 @@ class Claim:
             return self.number.kind, self.number.of
         return self.number.what, f"{self.value:.6g}"
 
+    @property
+    def least(self) -> float:
+        """The least that it may be, on the parameter's scale: no friction is negative."""
+        return -np.inf if self.log or self.number.kind == "center_of_mass" else 0.0
+
     def phi(self, value: float) -> float:
         """The parameter of a value of the number, on the parameter's scale."""
         return float(np.log(value / self.factor)) if self.log else value / self.factor
@@ -77,7 +82,7 @@ class Claim:
         target = self.number.target | ({"mode": "scale"} if self.number.kind == "inertia" else {})
         if self.log:
             bounds = [self.nominal / _RANGE, self.nominal * _RANGE]
-        elif self.number.kind == "center_of_mass":
+        elif self.least:
             bounds = [self.nominal - _RANGE_LENGTH, self.nominal + _RANGE_LENGTH]
         else:
             bounds = [0.0, 10.0 * self.wide]

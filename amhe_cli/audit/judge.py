@@ -21,9 +21,11 @@ and further errors e of m, of the ledger, are errors e / (V q) of c. The statist
 
     t = (c - f) / sqrt(1 / q + e / (V q)^2 + s^2),
 
-which noise and the data sheets make a standard normal number. A data sheet errs by a share, its logarithm phi
-by a length; a log shows the number itself, for a force is proportional to a mass. So t is the lesser of the
-two: where the log's error is normal in phi, and where it is in exp(phi) (`_proportional`).
+which noise and the data sheets make a standard normal number. Where c is less than a number may be, such as
+a negative friction, t^2 is by how much worse the file explains the log than the best that may be. A data
+sheet errs by a share, its logarithm phi by a length; a log shows the number itself, for a force is
+proportional to a mass. So t is the lesser of the two: where the log's error is normal in phi, and where it is
+in exp(phi) (`_proportional`).
 
 A number's chance is that its sheet is right and a right one differs more: the mean over the sets, by how
 likely these are, of the chances of t, where a set without its sheet has none (Meng 1994, "Posterior
@@ -98,7 +100,7 @@ class Said:
     """What the logs say of each of some numbers, whatever the file says of it, shape (k,) each.
 
     Args:
-        mean, sd: On the parameters' scales; an infinite sd where they say nothing.
+        mean, sd: On the parameters' scales, no less than may be; an infinite sd where they say nothing.
         t: How far from what the file says, in sd of both.
     """
 
@@ -108,7 +110,12 @@ class Said:
 
 
 def said(
-    evidence: Findings, rows: Sequence[int], file: FloatArray, sheet: FloatArray, log: BoolArray
+    evidence: Findings,
+    rows: Sequence[int],
+    file: FloatArray,
+    sheet: FloatArray,
+    log: BoolArray,
+    least: FloatArray | float = -np.inf,
 ) -> Said:
     """What the logs say of single numbers.
 
@@ -117,6 +124,7 @@ def said(
         rows: The numbers' parameters.
         file, sheet: What the file says of them, and the sd of its data sheet, shape (k,).
         log: Which of them are logarithms, shape (k,).
+        least: The least that each may be, shape (k,).
     """
     known, at = evidence.known().diagonal()[list(rows)], list(rows)
     more = np.maximum(evidence.covariance.diagonal()[at] - known, 0.0)
@@ -124,9 +132,12 @@ def said(
     q = np.maximum(1.0 / known - p**-2.0, _TINY * p**-2.0)
     mean = (m / known - n / p**2) / q
     sd = np.sqrt(1.0 / q + more / (known * q) ** 2)
-    t = (mean - file) / np.sqrt(sd**2 + sheet**2)
+    best = np.maximum(mean, least)
+    true = np.maximum((mean * sheet**2 + file * sd**2) / (sd**2 + sheet**2), least)  # if the sheet is right
+    worse = ((mean - true) / sd) ** 2 + ((true - file) / sheet) ** 2 - ((mean - best) / sd) ** 2
+    t = np.sign(best - file) * np.sqrt(np.maximum(worse, 0.0))
     other = np.sign(t) * _proportional(mean - evidence.at[at], sd, file - evidence.at[at], sheet)
-    return Said(mean, sd, np.where(log & (np.abs(other) < np.abs(t)), other, t))
+    return Said(best, sd, np.where(log & (np.abs(other) < np.abs(t)), other, t))
 
 
 def _proportional(said: FloatArray, sd: FloatArray, file: FloatArray, sheet: FloatArray) -> FloatArray:
@@ -153,12 +164,14 @@ class Sheets(Generic[K]):
         groups: The numbers on each, as parameters.
         file: What the file says.
         right, wide: Sd of a sheet that is right, and of one that is wrong.
+        least: The least that a number may be, minus infinity where it may be anything.
     """
 
     groups: Mapping[K, Sequence[int]]
     file: FloatArray
     right: FloatArray
     wide: FloatArray
+    least: FloatArray | float = -np.inf
 
     def sd(self, wrong: Collection[K]) -> FloatArray:
         """Sd of all parameters where some sheets are wrong, shape (d,)."""
@@ -224,7 +237,8 @@ def judged(
         What the logs say with the priors of the estimate, and the chance of each number (k,).
     """
     sheet, at = {row: name for name, group in sheets.groups.items() for row in group}, list(rows)
-    names, of = [sheet[row] for row in rows], (sheets.file[at], sheets.right[at], log)
+    names, least = [sheet[row] for row in rows], np.broadcast_to(sheets.least, sheets.file.shape)[at]
+    of = sheets.file[at], sheets.right[at], log, least
     here = said(evidence, rows, *of)
     chance, weight, seen, right = np.zeros((4, len(rows)))
     weights = np.exp(np.array(list(likely.values())) - max(likely.values()))

@@ -9,7 +9,7 @@ import click
 
 from amhe_cli.cli import kinds, options
 from amhe_cli.cli.command import Given, argument, command, option
-from amhe_cli.cli.session import Session
+from amhe_cli.cli.session import Session, in_options
 from amhe_cli.core.errors import ConfigError, EstimationError, printable
 
 if TYPE_CHECKING:
@@ -105,17 +105,18 @@ def _logs(session: Session, model: Path, given: Given) -> None:
     from amhe_cli.cli.progress import of_search, progress
     from amhe_cli.cli.settings import NONE
     from amhe_cli.estimation.identification import IdentifyOptions
-    from amhe_cli.init.folder import Proposal, proposed, proposed_as
+    from amhe_cli.init.folder import Proposal, proposed_as
     from amhe_cli.report.audit import write_audit
 
     folder, logs, inputs = given.reserve(), kinds.each_episode(given.against), given.inputs
 
     def proposal(efforts: bool) -> Proposal:
-        urdf = urdf_options(model)
         if not inputs.system:
-            return proposed(model, logs, inputs.msg_path, urdf, efforts=efforts)
+            return inputs.proposal(model, logs, efforts=efforts)
         system = replace(inputs, overrides=NONE).open(logs)
-        return proposed_as(model, system.matching(given.match) if given.match else system, urdf)
+        return proposed_as(
+            model, system.matching(given.match) if given.match else system, urdf_options(model)
+        )
 
     def audited(proposal: Proposal) -> Audit:
         with progress(session, "audit", of_search) as show:
@@ -137,7 +138,7 @@ def _logs(session: Session, model: Path, given: Given) -> None:
         found = audited(first)
     except EstimationError as error:
         failed = error
-    missed = free and (found is None or found.found.unexplained)
+    missed = free and (found is None or (found.found.unexplained and not found.found.interrupted))
     if missed and (other := proposal(False)).match == "motion":
         logging.getLogger(__name__).warning(
             "no value explains what the log has as torques: the motion under the commands is compared "
@@ -147,6 +148,7 @@ def _logs(session: Session, model: Path, given: Given) -> None:
     elif failed:
         raise failed
     assert found is not None
+    session.interrupted = found.found.interrupted
     record = session.record(out=str(folder), model=str(model))
     write_audit(
         folder, model, logs, found, given.write, record, session.command_line, given.seed, given.force
@@ -168,4 +170,4 @@ def _print(session: Session, lines: Any, record: dict[str, object], found: Audit
     if found and found.found.missing:
         print_missing(found.found.missing, console)
     for line in audit_text(lines, found, record.get("out")):
-        console.print(line, soft_wrap=True)
+        console.print(in_options(line, session.options), soft_wrap=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -67,7 +66,7 @@ def check(session: Session, given: Given) -> int | None:
         found += _told(read, [*texts, *(text for log in read for text in first_look(system, log))])
         hope = expected(system, read)
         session.listed = None
-        missed = missed_of(hope.parameters, given.require, "expected to be known")
+        missed = missed_of((*hope.parameters, *hope.bodies), given.require, "expected to be known")
     found = worst_first(found)
     session.warnings += [f"{one.where}: {one.what}" for one in found]
     facts = (f"{total_mass(made):.4g} kg", f"joints: {made.njnt}", f"actuators: {made.nu}")
@@ -104,8 +103,15 @@ def _told(logs: Sequence[Log], texts: Iterable[str]) -> Iterator[Finding]:
 
 def _read(inputs: Inputs, path: Path, logs: Sequence[Path], meshes: bool) -> tuple[System, list[Log]]:
     """The system that the logs are checked for, and the logs."""
-    with tempfile.TemporaryDirectory() as scratch:
-        if not inputs.system:
-            inputs = inputs.of_model(path, logs, Path(scratch) / "system", meshes)
+    import logging
+
+    from amhe_cli.core.errors import NOTE
+
+    if inputs.system:
         system = inputs.open(logs)
-        return system, inputs.read(system, logs)
+    else:
+        made = inputs.proposal(path, logs, meshes=meshes)
+        for note in made.notes:
+            logging.getLogger(__name__).log(NOTE, "%s", note)
+        system = made.system(path.stem, inputs.overrides.all).reading(inputs.topics)
+    return system, inputs.read(system, logs)

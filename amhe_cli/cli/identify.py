@@ -85,7 +85,7 @@ def identify(session: Session, given: Given) -> int | None:
     belief.yaml, identified.xml, result.json and report.html.
     """
     from amhe_cli.check.motion import log_findings, motions
-    from amhe_cli.cli.required import matching, missed_of
+    from amhe_cli.cli.required import matching, missed_of, names_of
     from amhe_cli.logs import members, read_log
     from amhe_cli.logs.read import truth_in_metadata
     from amhe_cli.report.check import said_before
@@ -99,14 +99,14 @@ def identify(session: Session, given: Given) -> int | None:
         system = inputs.open(logs)
         known: Any = given.pick("fix", "only", "belief_anyway")
         system.starting_from(given.belief, **known)  # a mistake is found before long logs are read
-        matching(system.space.names, given.require)
+        matching(names_of(system), given.require)
         training = inputs.read(system, logs)
         doubts = log_findings(system, training, motions(system, training))
         findings = said_before(system, doubts, None if session.json else session.console())
         validation = read_log(given.held_out, system, msg_path=inputs.msg_path)
         result = _searched(session, given, system, training, validation)
     session.interrupted = result.found.interrupted
-    missed = missed_of(result.found.parameters, given.require, "known")
+    missed = missed_of((*result.found.parameters, *result.found.bodies), given.require, "known")
     about = {"findings": findings, "not_reached": missed, "out": str(folder)}
     record = session.record(**result.record(), **about)
     read = [*logs, *(one.path for path in logs for one in members(path))]

@@ -16,6 +16,7 @@ from amhe_cli.core.yaml_file import merged
 
 if TYPE_CHECKING:
     from amhe_cli.core.log import Log
+    from amhe_cli.init.folder import Proposal
     from amhe_cli.system.model.urdf import UrdfOptions
     from amhe_cli.system.system import System
 
@@ -100,14 +101,34 @@ class Inputs:
             about = f"{', '.join(others)}, not {system.name}"
             raise LogError(f"{error}. The log says that it is about {about}") from None
 
-    def of_model(self, model: Path | str, logs: Sequence[Path], folder: Path, meshes: bool = True) -> Inputs:
+    def proposal(
+        self, model: Path, logs: Sequence[Path], *, meshes: bool = True, efforts: bool = False
+    ) -> Proposal:
+        """What `amhe init` makes of a model and logs, with the settings that lie beside these.
+
+        Args:
+            model: Its file.
+            logs: Paths of the logs.
+            meshes: Whether a URDF is read with its meshes.
+            efforts: Whether measured torques are compared also where commands are known.
+
+        Raises:
+            ConfigError: The model cannot be read, or nothing in the logs is a part of it.
+            LogError: A log cannot be read.
+        """
+        from amhe_cli.init.folder import proposed
+
+        made = proposed(model, logs, self.msg_path, urdf_options(model, meshes), efforts=efforts)
+        beside = _beside(logs)
+        return replace(made, settings=merged(made.settings, {} if beside.system else beside.settings))
+
+    def of_model(self, model: Path | str, logs: Sequence[Path], folder: Path) -> Inputs:
         """The same for the system that `amhe init` makes of a model and logs.
 
         Args:
             model: Its file, or the name of one of the menagerie.
             logs: Paths of the logs.
             folder: System folder to write.
-            meshes: Whether a URDF is read with its meshes.
 
         Raises:
             ConfigError: The model cannot be read, or nothing in the logs is a part of it.
@@ -119,8 +140,7 @@ class Inputs:
         from amhe_cli.init.folder import init_system
 
         path = model_file(model)
-        urdf = urdf_options(path, meshes)
-        made = init_system(path, logs, folder, msg_path=self.msg_path, force=True, urdf=urdf)
+        made = init_system(path, logs, folder, msg_path=self.msg_path, force=True, urdf=urdf_options(path))
         for note in made.notes:
             logging.getLogger(__name__).log(NOTE, "%s", note)
         return replace(self, system=str(folder))

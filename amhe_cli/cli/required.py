@@ -13,6 +13,7 @@ from amhe_cli.core.errors import ConfigError, one_of
 
 if TYPE_CHECKING:
     from amhe_cli.estimation.core.result import ParameterResult
+    from amhe_cli.system.system import System
 
 _REQUIRED = re.compile(r"^\s*([\w.*-]+)\s*<\s*([0-9.]+)\s*%\s*$")
 
@@ -26,6 +27,12 @@ def required(ctx: click.Context, param: click.Parameter, given: Sequence[str]) -
             raise click.BadParameter(f"{text!r} is not of the form 'NAME<5%'", ctx, param)
         found[match.group(1)] = float(match.group(2)) / 100.0
     return found
+
+
+def names_of(system: System) -> list[str]:
+    """What may be required: the parameters of a system, and the numbers of bodies that they make."""
+    bodies = system.edits.inertias(system.space.nominal[None])
+    return [*system.space.names, *(f"{body}.{number}" for body, numbers in bodies for number in numbers)]
 
 
 def matching(names: Sequence[str], require: Mapping[str, float]) -> dict[str, list[str]]:

@@ -84,11 +84,11 @@ NONE = Overrides({}, {})
 
 
 def groups() -> set[str]:
-    """Groups of settings that any system has."""
+    """Groups of settings that any system has, and what `--set` sets besides."""
     from amhe_cli.core.settings import Settings
     from amhe_cli.system.description.schema import robot_groups
 
-    return {*Settings.model_fields, *robot_groups({"robot": _ROBOT}), "boxes"}
+    return {*Settings.model_fields, *robot_groups({"robot": _ROBOT}), "boxes", "parameters", "signals"}
 
 
 def gathered(config: Path | None, environment: Mapping[str, str], options: Iterable[str]) -> Overrides:

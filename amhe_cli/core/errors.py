@@ -22,6 +22,10 @@ def printable(text: str, keep: str = "") -> str:
 NOTE = 25
 
 
+#: Names that an error lists.
+_LISTED = 30
+
+
 class AmheError(Exception):
     """Base class of all expected errors; the command line prints its text and no traceback."""
 
@@ -70,5 +74,5 @@ def one_of(kind: str, name: str, known: Iterable[str]) -> str:
     names = sorted(set(known))
     close = get_close_matches(str(name), names, n=1)
     hint = f" (did you mean {close[0]!r}?)" if close else ""
-    listed = ", ".join(map(printable, names)) if names else f"no {kind} at all"
+    listed = and_more([*map(printable, names)], _LISTED) if names else f"no {kind} at all"
     return f"no {kind} {name!r}{hint}; there is: {listed}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
@@ -114,9 +115,9 @@ def searched_for(
 
     Of logs that are `too_few` to hold a part out, this part only validates: then all of them is fitted.
 
-    `quick`: do not warn of parameters that the logs do not depend on. `near`: begin where a search for the
-    same parameters under other priors has ended, and not at the prior's mean. `clips`: fit, and hold out,
-    only so many.
+    `quick`: one of many: do not say how long it takes, nor which parameters the logs do not depend on.
+    `near`: begin where a search for the same parameters under other priors has ended, and not at the prior's
+    mean. `clips`: fit, and hold out, only so many.
     """
     if options.method not in METHODS:
         raise ConfigError(f"`method`: {one_of('method', options.method, METHODS)}")
@@ -125,7 +126,8 @@ def searched_for(
     training, model = named(training), system.space
     system = replace(system, space=searched(model, training))
     training = in_order(training)
-    watch = Watch(on_iteration, options.max_time, PARTS)
+    limit = math.inf if quick and options.max_time is None else options.max_time
+    watch = Watch(on_iteration, limit, PARTS)
     problem, validation = _pose(system, training, held_out, options)
     if clips is not None:
         problem = replace(problem, only=tuple(evenly(problem.clips, clips)))

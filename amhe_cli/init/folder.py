@@ -90,17 +90,20 @@ class Proposal:
         return [*(f"{one.name}: {one.why}" for one in (*self.guesses, *self.parameters)), *self.notes]
 
     def system(self, name: str, settings: Mapping[str, Any] | None = None) -> System:
-        """The system, which needs no folder."""
+        """The system, which needs no folder; `settings` may be of its signals and parameters, too."""
+        settings = merged(self.settings, settings or {})
+        parameters = {guess.name: guess.entry for guess in self.parameters}
+        parameters = merged(parameters, settings.pop("parameters", {}))
         signals = {
             guess.name: guess.entry | ({"noise": guess.noise} if guess.noise else {})
             for guess in self.guesses
         }
-        parameters = {guess.name: guess.entry for guess in self.parameters}
+        signals = merged(signals, settings.pop("signals", {}))
         return System.from_model(
             self.spec,
             parameters=parameters,
             signals=signals,
-            settings=merged(self.settings, settings or {}),
+            settings=settings,
             name=name,
             match=self.match,
             warn=False,

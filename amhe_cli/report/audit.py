@@ -15,6 +15,7 @@ from amhe_cli.audit.audit import VERDICTS, Audit, Line
 from amhe_cli.audit.files import FileDifference, FilesCompared
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.files import json_text, plain
+from amhe_cli.estimation.core.result import Identification
 from amhe_cli.report import numbers
 from amhe_cli.report.folder import results
 from amhe_cli.report.identification import held_out_line
@@ -61,11 +62,19 @@ def audit_text(lines: Sequence[Line], found: Audit | None, out: object = None) -
         yield f"cannot tell {numbers.some(names)}{': ' * bool(cure)}{cure}"
     yield count_text(lines)
     if found is not None:
-        for text in found.found.unexplained:
-            yield f"the logs are not explained: {text}"
+        yield from _against(found.found)
         yield f"held-out: {held_out_line(found.found.held_out)}"
     if out is not None:
         yield f"report: {out}/report.html"
+
+
+def _against(found: Identification) -> Iterator[str]:
+    """What speaks against all numbers of a table."""
+    yield from (f"the logs are not explained: {text}" for text in found.unexplained)
+    if found.interrupted:
+        yield "the search was interrupted: these are the best values so far"
+    elif not found.settled:
+        yield "the search stopped before it settled, and numbers may move: give it more `identify.iterations`"
 
 
 def count_text(lines: Sequence[Line]) -> str:
@@ -81,6 +90,7 @@ def audit_record(lines: Sequence[Line], found: Audit | None) -> dict[str, Any]:
         return plain(listed)
     held_out, missing = found.found.held_out, missing_record(found.found.missing)
     about = {"match": found.system.match, "held_out": held_out and asdict(held_out), "missing": missing}
+    about |= {"interrupted": found.found.interrupted, "settled": found.found.settled}
     return plain(listed | about)
 
 
@@ -158,7 +168,7 @@ def _page(found: Audit, model: Path, record: Mapping[str, Any], origin: Mapping[
         )
         for line in wrong[: numbers.MOST_NAMES]
     ]
-    statements += [Statement("bad", f"{text[0].upper()}{text[1:]}.") for text in found.found.unexplained]
+    statements += [Statement("bad", f"{text[0].upper()}{text[1:]}.") for text in _against(found.found)]
     sections = [
         Section(
             "The numbers of the file",

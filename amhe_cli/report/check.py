@@ -23,7 +23,7 @@ from amhe_cli.web.plots import shown_unit
 #: Findings that a terminal lists, alone and before a fit, and combinations.
 _LISTED, _FEW, _TOGETHER = 20, 3, 4
 #: What a reason says of one parameter: reasons that are alike but for it are one.
-_LEFT_OPEN = re.compile(r",? that leaves [^;]* open")
+_LEFT_OPEN = re.compile(r"[,:] that leaves [^;]* open")
 #: Kind of the first reason of a verdict -> what would cure it.
 _CURES = {
     "idle": "move what it acts on, or log what it moves: `amhe probe` writes an excitation",
@@ -79,7 +79,7 @@ def print_expected(hope: Expected, moved: Sequence[JointMotion], console: Consol
             console.print(rich_table(table))
     console.print()
     alike: dict[str, list[str]] = {}
-    for p in hope.parameters:
+    for p in hope.lines:
         alike.setdefault(_LEFT_OPEN.sub("", _why(hope, p)), []).append(p.name)
     for why, names in alike.items():
         if why:
@@ -126,9 +126,9 @@ def check_page(
         rows = ((one.where, one.what, one.cure) for one in found)
         sections.append(Section("What no robot has", text=text, table=_table(rows)))
     if hope is not None:
-        told = sum(p.verdict in ("identified", "conditional") for p in hope.parameters)
-        good = "good" if told == len(hope.parameters) else "mixed"
-        tell = f"These logs will tell {told} of {len(hope.parameters)} parameters."
+        told = sum(p.verdict in ("identified", "conditional") for p in hope.lines)
+        good = "good" if told == len(hope.lines) else "mixed"
+        tell = f"These logs will tell {told} of {len(hope.lines)} parameters."
         statements.append(Statement(good, tell))
         sections += [Section("Where the motion is", table=_motion_table(moved))] if moved else []
         sections += [
@@ -153,7 +153,7 @@ def expected_record(hope: Expected, moved: Sequence[JointMotion], missed: Sequen
         "expected": [
             {name: getattr(p, name) for name in names}
             | {"reasons": [asdict(r) for r in p.reasons], "cure": _cure(p)}
-            for p in hope.parameters
+            for p in hope.lines
         ],
         "together": [asdict(one) for one in hope.combinations],
         "idle": hope.idle,
@@ -182,11 +182,13 @@ def _motion_table(moved: Sequence[JointMotion]) -> Table:
 
 
 def _expected_table(hope: Expected) -> Table:
+    priors = [numbers.rounded(p.prior, 0.1 * p.prior_sd) for p in hope.lines]
     rows = [
-        (p.name, p.verdict, _size(p), numbers.quantity(f"{p.prior:.3g}", p.unit)) for p in hope.parameters
+        (p.name, p.verdict, _size(p), numbers.quantity(prior, p.unit))
+        for p, prior in zip(hope.lines, priors, strict=True)
     ]
     looks = ("name", VERDICT, NUMBER, NUMBER)
-    remarks = [_why(hope, p).replace("`", "") for p in hope.parameters]
+    remarks = [_why(hope, p).replace("`", "") for p in hope.lines]
     return Table(("parameter", "verdict", "expected sd", "prior"), looks, rows, remarks)
 
 
@@ -212,14 +214,13 @@ def relative(p: ParameterResult) -> float:
 
 def _why(hope: Expected, p: ParameterResult) -> str:
     """Why a parameter will not be told, and what would cure it; '' of one that will."""
-    reason = hope.idle.get(p.name) or next((one.text for one in p.reasons), "")
-    if p.verdict == "identified" or not reason:
-        return ""
-    return f"{reason}; {_cure(p)}" if _cure(p) else reason
+    reason = hope.idle.get(p.name) or next((one.text for one in p.reasons), "these logs say little of it")
+    return "; ".join(filter(None, (reason, _cure(p)))) if p.verdict != "identified" else ""
 
 
 def _cure(p: ParameterResult) -> str:
-    return _CURES.get(p.reasons[0].kind, "") if p.verdict != "identified" and p.reasons else ""
+    kind = p.reasons[0].kind if p.reasons else "open"
+    return _CURES.get(kind, "") if p.verdict != "identified" else ""
 
 
 def _time(hope: Expected) -> str:

@@ -55,7 +55,8 @@ def test_where_the_cost_rises_with_several_sheets_each_of_them_is_tried(
 
     def searched(wrong, near) -> Any:
         asked.append(frozenset(wrong))
-        return SimpleNamespace(problem=SimpleNamespace(system=None), wrong=asked[-1])
+        watch = SimpleNamespace(interrupted=False)
+        return SimpleNamespace(problem=SimpleNamespace(system=None), wrong=asked[-1], watch=watch)
 
     def sets(evidence, sheets, wrong) -> dict[frozenset[str], float]:
         more = {wrong | {name}: value for name, value in (("c", 3.0), ("a", 2.0), ("b", 1.0))}
@@ -69,3 +70,23 @@ def test_where_the_cost_rises_with_several_sheets_each_of_them_is_tried(
     monkeypatch.setattr(module, "_cost", lambda search: costs.get(search.wrong, 20.0))
     assert module._without_suspects(searched, [], frozenset(), None)[1] == {right}
     assert (frozenset("abc") in asked) == straight  # slopes that bend say one sheet at a time
+
+
+def test_a_search_that_is_interrupted_keeps_what_was_found_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = list[frozenset[str]]()
+
+    def searched(wrong, near) -> Any:
+        asked.append(frozenset(wrong))
+        if len(asked) == 3:
+            raise KeyboardInterrupt
+        return SimpleNamespace(
+            problem=SimpleNamespace(system=None), watch=SimpleNamespace(interrupted=False), cost=-len(wrong)
+        )
+
+    for name, stub in (("_sketched", id), ("_sheets", lambda *_: None), ("_far_off", lambda *_: None)):
+        monkeypatch.setattr(module, name, stub)
+    monkeypatch.setattr(module, "wrong_sheets", lambda _, __, wrong: {wrong | {str(len(wrong))}: 1.0})
+    monkeypatch.setattr(module, "_straight", lambda search: True)
+    monkeypatch.setattr(module, "_cost", lambda search: 10.0 + search.cost)
+    found, wrong = module._without_suspects(searched, [], frozenset(), None)
+    assert found.watch.interrupted and wrong == {"0"} and len(asked) == 3

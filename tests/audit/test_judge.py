@@ -215,3 +215,18 @@ def test_urdf_and_mjcf_are_matched_by_names(tmp_path: Path) -> None:
     (only,) = found.differences
     assert (only.of, only.what, only.one, only.other) == ("rod_link", "mass", (4.0,), (2.0,))
     assert found.alone == ((), ())
+
+
+def test_a_friction_that_the_log_wants_negative_does_not_contradict_a_file_that_has_none() -> None:
+    """No number is negative: the best that may be is what the file says, and no file is better."""
+    found = findings(np.array([[1e4]]), np.array([-0.1]), np.array([10.0]), np.zeros(1))
+    here = [0], np.zeros(1), np.array([0.01]), linear(1)
+    assert abs(said(found, *here).t[0]) > 5.0
+    bounded = said(found, *here, np.zeros(1))
+    assert bounded.t[0] == 0.0 and bounded.mean[0] == 0.0
+    # a file that has some is as far from zero as it says
+    some = said(found, [0], np.array([0.5]), np.array([0.01]), linear(1), np.zeros(1))
+    assert some.mean[0] == 0.0 and some.t[0] < -20.0
+    # where the log wants a number that may be, the bound says nothing
+    wants = findings(np.array([[1e4]]), np.array([0.3]), np.array([10.0]), np.zeros(1))
+    assert np.isclose(said(wants, *here, np.zeros(1)).t[0], said(wants, *here).t[0])

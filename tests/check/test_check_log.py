@@ -77,6 +77,23 @@ def test_the_command_says_what_to_expect(capsys: pytest.CaptureFixture[str]) -> 
     assert "load_mass is expected to" in json.loads(capsys.readouterr().out)["not_reached"][0]
 
 
+@pytest.mark.medium
+def test_numbers_of_bodies_stand_for_their_coordinates(capsys: pytest.CaptureFixture[str]) -> None:
+    """What is required and what is said are kilograms and metres; the least known comes first."""
+    arguments = ["check", "example:arm_torque", "example:arm_torque", "--json", "--require"]
+    assert run([*arguments, "link7_inertia.mass<1%"]) == 3
+    captured = capsys.readouterr()
+    record = json.loads(captured.out)
+    (missed,) = record["not_reached"]
+    assert missed.startswith("link7_inertia.mass is expected to be known to ") and "/tmp" not in captured.err
+    names = [one["name"] for one in record["expected"]]
+    assert "link7_inertia.com_z" in names and "link7_inertia.alpha" not in names
+    assert record["expected"][-1]["verdict"] == "identified" != record["expected"][0]["verdict"]
+    assert all(one["cure"] for one in record["expected"] if one["verdict"] != "identified")
+    assert run([*arguments, "link7_mass<5%"]) == 2
+    assert "did you mean 'link7_inertia.mass'?" in capsys.readouterr().err
+
+
 SERVO = """<mujoco><worldbody><geom type="plane" size="1 1 .1"/><body name="rod" pos="0 0 0.2">
 <joint name="hinge" axis="0 1 0" range="-3 3" damping="0.1" armature="0.01" frictionloss="0.01"/>
 <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02" mass="0.5"/></body></worldbody>

@@ -9,6 +9,7 @@ import pytest
 
 from amhe_cli.cli.main import run
 from amhe_cli.engine.inverse import forces_along
+from amhe_cli.system.model.files import compiled, read_spec
 
 ROOT = Path(__file__).parents[2]
 ARM = """<mujoco><worldbody>
@@ -78,6 +79,33 @@ def test_the_written_file_has_the_numbers_of_the_log(audited) -> None:
     text = (folder / "robot.audited.xml").read_text()
     assert "mass 3.6 -> " in text and "by amhe audit of log.csv" in text
     assert (folder / "report.html").is_file()
+
+
+URDF = """<robot name="arm"><link name="base"/>
+<link name="upper"><inertial><origin xyz="0.15 0 0"/><mass value="3.6"/>{upper}</inertial></link>
+<link name="lower"><inertial><origin xyz="0.12 0 0"/><mass value="0.8"/>{lower}</inertial></link>
+<joint name="shoulder" type="continuous"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+<dynamics damping="0.4" friction="0.2"/></joint>
+<joint name="elbow" type="continuous"><parent link="upper"/><child link="lower"/><axis xyz="0 1 0"/>
+<origin xyz="0.3 0 0"/><dynamics damping="3.0" friction="0.1"/></joint></robot>"""
+
+
+@pytest.mark.medium
+def test_a_urdf_keeps_its_text_but_for_what_was_contradicted(tmp_path: Path, capsys) -> None:
+    _, log = spoilt(tmp_path)
+    inertia = '<inertia ixx="{}" iyy="{}" izz="{}" ixy="0" ixz="0" iyz="0"/>'
+    bodies = {"upper": (0.001, 0.012, 0.012), "lower": (0.0005, 0.006, 0.006)}
+    file, out = tmp_path / "vendor.urdf", tmp_path / "out"
+    file.write_text(URDF.format(**{name: inertia.format(*values) for name, values in bodies.items()}))
+    assert run(["audit", str(file), str(log), "-o", str(out), "-q", "--threads", "1", "--json"]) == 0
+    lines = {one["parameter"]: one for one in json.loads(capsys.readouterr().out)["numbers"]}
+    assert lines["upper_mass"]["verdict"] == lines["elbow_damping"]["verdict"] == "contradicted"
+    text = (out / "robot.audited.urdf").read_text()
+    assert '<mass value="0.8"/>' in text and '<mass value="3.6"/>' not in text
+    assert "mass 3.6 -> 1.2" in text and "damping 3 -> 0.3" in text and "by amhe audit of log.csv" in text
+    model = compiled(read_spec(out / "robot.audited.urdf"), "urdf")
+    assert model.body("upper").mass[0] == pytest.approx(1.2, rel=0.05)
+    assert model.joint("elbow").damping[0] == pytest.approx(0.3, rel=0.1)
 
 
 @pytest.mark.medium

@@ -426,8 +426,15 @@ class Identification:
     @property
     def lines(self) -> tuple[ParameterResult, ...]:
         """What people read: numbers of bodies in place of the coordinates of their inertias."""
-        whole = {number.name.rpartition(".")[0] for number in self.bodies}
-        return (*(p for p in self.parameters if p.name.rpartition(".")[0] not in whole), *self.bodies)
+        return with_bodies(self.parameters, self.bodies)
+
+
+def with_bodies(
+    parameters: Sequence[ParameterResult], bodies: Sequence[ParameterResult]
+) -> tuple[ParameterResult, ...]:
+    """Lines with the numbers of bodies in place of the coordinates of their inertias."""
+    whole = {number.name.rpartition(".")[0] for number in bodies}
+    return (*(p for p in parameters if p.name.rpartition(".")[0] not in whole), *bodies)
 
 
 def known_together(result: Identification) -> list[Combination]:

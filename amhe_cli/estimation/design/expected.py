@@ -15,14 +15,14 @@ import numpy as np
 from amhe_cli.core.errors import EstimationError
 from amhe_cli.core.log import Log
 from amhe_cli.engine.open import open_engine
-from amhe_cli.estimation.core.result import Combination, ParameterResult
+from amhe_cli.estimation.core.result import VERDICTS, Combination, ParameterResult, with_bodies
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.clips import ClipPool, evenly, whole
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.watch import Watch
 from amhe_cli.estimation.uncertainty import terms
 from amhe_cli.estimation.uncertainty.assumed import assumed
-from amhe_cli.estimation.uncertainty.derived import combinations
+from amhe_cli.estimation.uncertainty.derived import body_numbers, combinations
 from amhe_cli.estimation.uncertainty.fit import FinalFit, doubled_prior, final_fit, posterior
 from amhe_cli.estimation.uncertainty.ledger import Ledger
 from amhe_cli.estimation.uncertainty.verdicts import Evidence, verdicts
@@ -33,8 +33,9 @@ from amhe_cli.system.system import System
 CLIPS = 12
 #: Fewer, but never below this, where one linearisation would take more steps of the simulation than that.
 FEWEST, STEPS = 6, 200_000
-#: Iterations of the search that lead near the estimate.
-ITERATIONS = 6
+#: Iterations of the search that lead near the estimate, at most, and the share of the last one's cost above
+#: which it is near.
+ITERATIONS, NEAR = 6, 0.9
 #: Linearisations of all clips that an identification takes, half of them its search: those of the examples.
 _LINEARISATIONS = 17.0
 
@@ -44,16 +45,23 @@ class Expected:
     """What an identification is expected to say.
 
     Args:
-        parameters: As in its result; estimates are rough.
+        parameters, bodies: As in its result; estimates are rough.
         combinations: What would be known together only.
         idle: Parameters that the logs do not depend on -> why.
         seconds: CPU time that it would take at the pace of this look [s], about.
     """
 
     parameters: tuple[ParameterResult, ...]
+    bodies: tuple[ParameterResult, ...]
     combinations: tuple[Combination, ...]
     idle: dict[str, str]
     seconds: float
+
+    @property
+    def lines(self) -> tuple[ParameterResult, ...]:
+        """What people read, as of an identification, the least known first."""
+        worst = [*VERDICTS][::-1]
+        return tuple(sorted(with_bodies(self.parameters, self.bodies), key=lambda p: worst.index(p.verdict)))
 
 
 def expected(system: System, logs: Sequence[Log], *, threads: int = 1, seed: int = 0) -> Expected:
@@ -76,16 +84,13 @@ def expected(system: System, logs: Sequence[Log], *, threads: int = 1, seed: int
     engine = open_engine(system, threads=threads)
     problem = Problem(system, pool, engine, seed, only=tuple(evenly(clips, CLIPS)), threads=threads)
     steps = problem.linearisation * max(clip.length for clip in problem.clips)
-    if steps > STEPS and len(problem.clips) > FEWEST:
-        kept = max(FEWEST, len(problem.clips) * STEPS // steps)
-        problem = replace(problem, only=tuple(evenly(problem.clips, kept)))
+    kept = max(FEWEST, CLIPS * STEPS // steps)
+    problem = replace(problem, only=tuple(evenly(problem.clips, kept)), whole=problem)
     few = problem.clips
     share = (1.0 - settings.held_out) * min(len(clips), settings.most) / len(few)
-    state, pace = search.restart(problem, np.zeros(len(system.space))), 0.0
-    while problem.active.any() and not state.done and state.number < ITERATIONS:
-        began = time.process_time()
-        state = search.advance(problem, state)
-        pace = (time.process_time() - began) / max(state.record[-1].rollouts, 1)
+    began = time.process_time()
+    state = _near(problem)
+    pace = (time.process_time() - began) / max(sum(one.rollouts for one in state.record), 1)
     fit = final_fit(problem, state, Watch(lambda iteration, total: None, None, 1))
     fit = _as_if(fit, max(share, 1.0 / len(few)))
     term, _ = assumed(fit)
@@ -107,10 +112,26 @@ def expected(system: System, logs: Sequence[Log], *, threads: int = 1, seed: int
     each = problem.linearisation / len(few) * min(len(clips), settings.most)
     return Expected(
         verdicts(space, evidence),
+        body_numbers(system, fit.z, ledger, problem.rng(5), ()),
         tuple(combinations(space, ledger.covariance, problem.active)),
         dict(problem.idle),
         _LINEARISATIONS * each * pace,
     )
+
+
+def _near(problem: Problem) -> search.SearchState:
+    """A search that ends near the estimate: its first steps by half of the clips, the last by all of them."""
+    rough = replace(problem, only=tuple(evenly(problem.clips, FEWEST // 2)))
+    state = search.restart(rough, np.zeros(len(problem.system.space)))
+    while problem.active.any() and not state.done and state.number < search.ROUGHLY:
+        state = search.advance(rough, state)
+    state, before = replace(state, stage="polish", first=None), np.inf
+    while problem.active.any() and not state.done and state.number < ITERATIONS:
+        state = search.advance(problem, state)
+        if state.record[-1].cost > NEAR * before:
+            break
+        before = state.record[-1].cost
+    return replace(state, settled=True)  # what it sampled last has the shape of what is left open
 
 
 def _as_if(fit: FinalFit, times: float) -> FinalFit:

@@ -79,8 +79,9 @@ def unexplained(fit: FinalFit) -> tuple[str, ...]:
     for key, (scale, white) in sorted(misfits(fit).items(), key=lambda item: -item[1][0]):
         if scale > MISSED and not white:
             text = f"the model misses {key} by {scale:.0f} times its noise: {_remedy(system, key)}"
-            missed, quantity = noise[key], key.partition(PART)[0].rsplit(".", 1)[1]
-            advice = f"; if it cannot be better, declare what it misses, noise: {{{quantity}: {missed:.2g}}}"
+            missed, (signal, quantity) = noise[key], key.partition(PART)[0].rsplit(".", 1)
+            declared = f"`signals.{signal}.noise.{quantity}={missed:.2g}`"
+            advice = f"; if it cannot be better, declare what it misses: {declared}"
             texts.append(text + advice * (missed < NOISY * moved[key]))
     return tuple(texts)
 
