@@ -8,11 +8,9 @@ import os
 import random
 import re
 import select
-import socket
 import subprocess
 import sys
 import termios
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,13 +29,13 @@ from amhe_cli.logs import read_metadata, survey
 from amhe_cli.robots.go1.link.mail import Phase, SenderReport, StoppedError
 from amhe_cli.robots.go1.poses.feed import KINDS
 from amhe_cli.robots.go1.probing.motions import STEADY
-from tests.robots.go1.stand_ins import Emulated, emulating, free_port
+from tests.robots.go1.stand_ins import Emulated, emulating, free_port, repeating, udp
 
 ROOT = Path(__file__).parents[2]
 #: Little work, quick motions, and patience with a busy machine.
 QUICK = [
-    *("--set", "control.samples=5"), *("--set", "control.horizon=8"), *("--set", "go1.gain_time=0.3"),
-    *("--set", "go1.stand_speed=2"), *("--set", "go1.sit_time=0.5"), *("--set", "go1.damp_time=0.3"),
+    *("--set", "control.samples=5"), *("--set", "control.horizon=8"), *("--set", "go1.gain_time=0.2"),
+    *("--set", "go1.stand_speed=3"), *("--set", "go1.sit_time=0.3"), *("--set", "go1.damp_time=0.3"),
     *("--set", "go1.trips.plan_age=1"), *("--set", "go1.trips.state_age=0.5"),
     *("--set", "go1.trips.pose_age=1"), *("--set", "go1.place_tolerance=0.3"),
     *("--set", "go1.trips.packet_gap=0.2"), *("--set", "go1.trips.report_age=1"), "--threads", "1", "-q",
@@ -55,6 +53,12 @@ def at(emulated: Emulated, slow: int = 2) -> list[str]:
 
 def test_the_choices_are_those_of_the_library() -> None:
     assert at_the_robot.POSES == KINDS
+
+
+@pytest.fixture(autouse=True)
+def _brief(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rehearsal of fewer cycles."""
+    monkeypatch.setattr("amhe_cli.robots.go1.link.open._CYCLES", 20)
 
 
 @pytest.mark.slow
@@ -276,7 +280,7 @@ def test_at_a_terminal_enter_arms_and_a_key_stops() -> None:
 
 @pytest.mark.parametrize("mode", ["baseline", pytest.param("adaptive", marks=pytest.mark.slow)])
 def test_a_robot_that_is_not_there_is_one_line_and_leaves_no_process(capfd, mode: str) -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as deaf:
+    with udp() as deaf:
         deaf.bind(("127.0.0.1", 0))
         port = str(deaf.getsockname()[1])
         where = ["--host", "127.0.0.1", "--port", port, "--pose", "udp", "--pose-port", port]
@@ -316,7 +320,7 @@ def test_a_probe_is_planned_first_and_then_done_on_the_robot(capsys, monkeypatch
 @pytest.mark.medium
 def test_a_probe_without_its_robot_keeps_its_plan(capfd, monkeypatch) -> None:
     monkeypatch.setattr("amhe_cli.robots.go1.probing.probe.MOTIONS", (STEADY,))  # one rehearsal is enough
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as deaf:
+    with udp() as deaf:
         deaf.bind(("127.0.0.1", 0))
         port = str(deaf.getsockname()[1])
         where = ["--host", "127.0.0.1", "--port", port, "--pose", "udp", "--pose-port", port]
@@ -340,38 +344,28 @@ _PUSHING = 200
 FROZEN = "cameras and legs contradict each other|its cameras were never so still"
 
 
-class Relay:
-    """Passes the poses of the emulated cameras on, and forges them once the robot walks."""
+@contextmanager
+def relay(to: int, forge: Forge) -> Iterator[int]:
+    """Passes the poses of the emulated cameras on, and forges them once the robot walks; yields its port."""
+    start, number = None, 0
 
-    def __init__(self, to: int, forge: Forge) -> None:
-        self._end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._end.bind(("127.0.0.1", 0))
-        self._end.settimeout(0.1)
-        self.port, self._to, self._forge = self._end.getsockname()[1], ("127.0.0.1", to), forge
-        self._stop, self._walked = threading.Event(), 0
-        self._thread = threading.Thread(target=self._serve)
+    def pass_on() -> None:
+        nonlocal start, number
+        try:
+            pose = json.loads(end.recv(2048))
+        except TimeoutError:
+            return
+        if pose["body"] == "go1":
+            start = pose["position"][0] if start is None else start
+            number += pose["position"][0] - start > WALKS
+        for one in forge(number, pose) if number else [pose]:
+            end.sendto(json.dumps(one).encode(), ("127.0.0.1", to))
 
-    def __enter__(self) -> Relay:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        self._thread.join()
-        self._end.close()
-
-    def _serve(self) -> None:
-        start = None
-        while not self._stop.is_set():
-            try:
-                pose = json.loads(self._end.recv(2048))
-            except TimeoutError:
-                continue
-            if pose["body"] == "go1":
-                start = start if start is not None else pose["position"][0]
-                self._walked += pose["position"][0] - start > WALKS
-            for one in self._forge(self._walked, pose) if self._walked else [pose]:
-                self._end.sendto(json.dumps(one).encode(), self._to)
+    with udp() as end:
+        end.bind(("127.0.0.1", 0))
+        end.settimeout(0.1)
+        with repeating(0.0, pass_on):
+            yield end.getsockname()[1]
 
 
 def held(body: str, noise: float, slide: float) -> Forge:
@@ -393,8 +387,8 @@ def held(body: str, noise: float, slide: float) -> Forge:
 def walked(tmp_path: Path, forge: Forge, seconds: float) -> tuple[int, str, dict[str, Any]]:
     """A run with forged poses: its exit code, what it printed, and its result.json."""
     port = free_port()
-    with Relay(port, forge) as relay:
-        cameras = ["--mocap", "udp", "--mocap-port", str(relay.port)]
+    with relay(port, forge) as cameras_port:
+        cameras = ["--mocap", "udp", "--mocap-port", str(cameras_port)]
         with emulating("--set", "go1.slow=2", *cameras) as emulated:
             eyes = ["--pose", "udp", "--pose-port", str(port)]
             where = ["--host", "127.0.0.1", "--port", str(emulated.port), *eyes, "--set", "go1.slow=2"]

@@ -109,6 +109,7 @@ def test_a_model_needs_no_system_folder(pendulum_log: Path, tmp_path: Path) -> N
 
 
 @pytest.mark.medium
+@pytest.mark.usefixtures("unexplained")
 def test_what_is_wrong_before_the_fit_is_said_first_and_kept(
     pendulum_log: Path, tmp_path: Path, capsys
 ) -> None:
@@ -222,6 +223,7 @@ def test_an_interrupted_run_keeps_the_best_so_far(pendulum_log: Path, number: in
 
 
 @pytest.mark.medium
+@pytest.mark.usefixtures("unexplained")
 def test_workers_find_the_same_parameters_to_the_bit(tmp_path: Path, pendulum_log: Path) -> None:
     few = ("identify.iterations=1", "identify.profile_points=0", "clips.count=8")
     quick = ["--to", "3", "-q", *(word for setting in few for word in ("--set", setting))]
@@ -234,6 +236,7 @@ def test_workers_find_the_same_parameters_to_the_bit(tmp_path: Path, pendulum_lo
 
 
 @pytest.mark.medium
+@pytest.mark.usefixtures("unexplained")
 def test_fixed_parameters_are_listed_and_condition_the_belief(done: Path, pendulum_log: Path, capsys) -> None:
     command = ["identify", str(pendulum_log), "-q", "--seed", "3", *QUICK, "--json", "-o", "out"]
     narrow = ["--belief", str(done / "belief.yaml"), "--only", "load_*", "--fix", "damping=0.05"]
@@ -345,10 +348,21 @@ def off(name: str, offset: tuple[float, ...]) -> list[str]:
 
 
 @pytest.mark.slow
-def test_offsets_are_found_again_and_make_the_robot_fit_to_run() -> None:
+def test_offsets_are_found_again_and_make_the_robot_fit_to_run(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("natnet")
+    monkeypatch.setattr("amhe_cli.robots.go1.link.open._CYCLES", 20)
     with emulating("--set", "go1.slow=2", *off("trunk", TRUNK), *off("box", BOX)) as emulated:
-        command = [sys.executable, "-m", "amhe_cli", "calibrate", "-o", "out", *at(emulated)]
+        command = [
+            sys.executable,
+            "-m",
+            "amhe_cli",
+            "calibrate",
+            "--seconds",
+            "0.8",
+            "-o",
+            "out",
+            *at(emulated),
+        ]
         pressed, nobody = (
             subprocess.run(
                 [*command, *more], input=keys, text=True, capture_output=True, timeout=120,

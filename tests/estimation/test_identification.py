@@ -297,6 +297,7 @@ def fall(system, noise: float = 1e-4) -> Log:
 
 
 @pytest.mark.medium
+@pytest.mark.usefixtures("unexplained")
 def test_a_parameter_that_drifts_within_the_log_is_reported(pendulum, swing, caplog):
     heavier = TRUTH * [1.4, 1.0, 1.0, 1.0]
     result = identify(pendulum, [swing(10.0, later=heavier)], [swing(3.0)], IdentifyOptions())

@@ -218,6 +218,7 @@ def heavier(after: float) -> Callable[[mujoco.MjModel, float], None]:
 
 
 @pytest.mark.medium
+@pytest.mark.usefixtures("unexplained")
 def test_a_load_that_changes_in_mid_log_is_found(cart) -> None:
     push = multisine(1, 1.0)
     log = arrays(CART, lambda t: (push(t), 0.0), 24.0, change=heavier(12.0))
@@ -227,6 +228,7 @@ def test_a_load_that_changes_in_mid_log_is_found(cart) -> None:
 
 
 @pytest.mark.medium
+@pytest.mark.usefixtures("unexplained")
 def test_halves_are_halves_of_what_is_fitted() -> None:
     """Seven clips are fitted of this log; of its own halves the second would have too few for a check."""
     system, push = system_of(CART, {"cart_mass": MASS_OF_CART}, held_out=0.25), multisine(1, 1.0)

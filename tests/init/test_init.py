@@ -558,6 +558,7 @@ def test_the_quantity_of_a_command_is_written_where_there_is_a_choice(tmp_path: 
 
 
 @pytest.mark.medium
+@pytest.mark.usefixtures("unexplained")
 def test_torques_without_commands_are_matched(tmp_path: Path) -> None:
     model, log = bundled_models()["arm_torque"], bundled_logs()["arm_torque"]
     notes = init_system(model, [log], tmp_path / "arm").sentences

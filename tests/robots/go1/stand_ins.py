@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,30 @@ from amhe_cli.robots.go1.link.process import Clock
 from amhe_cli.robots.go1.poses.sources import pose_datagram
 
 ROOT = Path(__file__).parents[3]
+
+
+@contextmanager
+def repeating(period: float, action: Callable[[], object]) -> Iterator[None]:
+    """Do something again and again in a thread, with a pause [s] between, until the block ends."""
+    stop = threading.Event()
+
+    def act() -> None:
+        while not stop.wait(period):
+            action()
+
+    thread = threading.Thread(target=act, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+def udp() -> socket.socket:
+    """A socket of datagrams."""
+    return socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
 
 #: Legs of a robot that lies, calves folded.
 FOLDED = np.tile([0.0, 1.25, -2.75], 4)
@@ -61,24 +85,32 @@ class Puppet:
     """
 
     def __init__(self) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket = udp()
         self._socket.bind(("127.0.0.1", 0))
         self._socket.setblocking(False)
         self.port = self._socket.getsockname()[1]
         self.received: list[tuple[float, MotorCommand]] = []
         self.change: Callable[[RobotState], RobotState] = lambda sent: sent
         self.mangle: Callable[[bytes], bytes | None] = lambda packet: packet
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._begun, self._peer, self._ticks = 0.0, None, 1
+        self._joints, self._mode = np.array(FOLDED), DAMPED
 
     def __enter__(self) -> Puppet:
-        self._thread.start()
+        self._begun = time.monotonic()
+        self._serving = ExitStack()
+        self._serving.enter_context(self._socket)
+        self._serving.enter_context(repeating(0.0005, self._serve))
         return self
 
     def __exit__(self, *_: Any) -> None:
-        self._stop.set()
-        self._thread.join()
-        self._socket.close()
+        self._serving.close()
+
+    @property
+    def idle(self) -> bool:
+        """Whether all commands so far do nothing."""
+        return all(
+            got.kp.max() == got.kd.max() == np.abs(got.torque).max() == 0.0 for _, got in self.received
+        )
 
     def wait(self, test: Callable[[MotorCommand], bool], patience: float = 15.0) -> float:
         """When the first command of a kind came [s], from those that come from now on."""
@@ -92,25 +124,24 @@ class Puppet:
         raise AssertionError("the command never came")
 
     def _serve(self) -> None:
-        begun, peer, joints, mode, ticks = time.monotonic(), None, np.array(FOLDED), DAMPED, 1
-        while not self._stop.wait(0.0005):
-            while True:
-                try:
-                    datagram, peer = self._socket.recvfrom(2048)
-                except OSError:
-                    break
-                got = decode_command(datagram)
-                self.received.append((time.monotonic(), got))
-                mode = got.mode
-                if got.kp.max() > 0:
-                    joints = np.array(got.position)
-            done = int(1e3 * (time.monotonic() - begun))
-            for tick in range(ticks, done):
-                sent = self.change(replace(a_state(tick=tick, joints=joints), modes=np.full(12, mode)))
-                packet = self.mangle(encode_state(sent))
-                if peer and packet is not None:
-                    self._socket.sendto(packet, peer)
-            ticks = max(ticks, done)
+        while True:
+            try:
+                datagram, self._peer = self._socket.recvfrom(2048)
+            except OSError:
+                break
+            got = decode_command(datagram)
+            self.received.append((time.monotonic(), got))
+            self._mode = got.mode
+            if got.kp.max() > 0:
+                self._joints = np.array(got.position)
+        done = int(1e3 * (time.monotonic() - self._begun))
+        for tick in range(self._ticks, done):
+            modes = np.full(12, self._mode)
+            sent = self.change(replace(a_state(tick=tick, joints=self._joints), modes=modes))
+            packet = self.mangle(encode_state(sent))
+            if self._peer and packet is not None:
+                self._socket.sendto(packet, self._peer)
+        self._ticks = max(self._ticks, done)
 
 
 def damps(got: MotorCommand) -> bool:
@@ -146,7 +177,7 @@ TRUNK = (np.array([2.0, -1.0, 0.09]), exp(np.array([0.0, 0.0, 0.7])))
 
 def free_port() -> int:
     """A UDP port that nobody has."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+    with udp() as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
 
@@ -173,16 +204,16 @@ class Stage:
         if turn is not None:
             poses = [(rotate(turn, place), multiply(turn, pose)) for place, pose in poses]
         self._bodies = list(zip(names, poses, strict=True))
-        self._to, self._stop = ("127.0.0.1", port), threading.Event()
-        self._thread = threading.Thread(target=self._send)
+        self._to, self._clock, self._client = ("127.0.0.1", port), Clock(), udp()
 
     def __enter__(self) -> Stage:
-        self._thread.start()
+        self._sending = ExitStack()
+        self._sending.enter_context(self._client)
+        self._sending.enter_context(repeating(0.01, self._send))
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        self._thread.join()
+        self._sending.close()
 
     def move_box(self, by: tuple[float, float, float]) -> None:
         """In the cameras' frame [m]."""
@@ -194,18 +225,14 @@ class Stage:
         self.off = frames
 
     def _send(self) -> None:
-        clock = Clock()
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
-            while not self._stop.wait(0.01):
-                now = clock.now() - 77.0
-                while self.extra:
-                    client.sendto(self.extra.pop(), self._to)
-                shift = np.array([0.0, 0.5, 0.0]) if self.off > 0 else np.zeros(3)
-                self.off -= 1
-                for number, (name, (true, pose)) in enumerate(self._bodies):
-                    place = true + number * shift
-                    if not self.silent:
-                        client.sendto(pose_datagram(name, now, place, pose), self._to)
+        now = self._clock.now() - 77.0
+        while self.extra:
+            self._client.sendto(self.extra.pop(), self._to)
+        shift = np.array([0.0, 0.5, 0.0]) if self.off > 0 else np.zeros(3)
+        self.off -= 1
+        for number, (name, (true, pose)) in enumerate(self._bodies):
+            if not self.silent:
+                self._client.sendto(pose_datagram(name, now, true + number * shift, pose), self._to)
 
 
 @dataclass

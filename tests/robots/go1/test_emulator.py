@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import socket
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
+from itertools import count
 
 import numpy as np
 import pytest
@@ -38,7 +37,7 @@ from amhe_cli.robots.go1.link.packets import (
 from amhe_cli.robots.go1.poses.sources import NatNet, PoseError
 from amhe_cli.robots.go1.settings import Go1Settings
 from amhe_cli.robots.go1.tasks import find_task
-from tests.robots.go1.stand_ins import a_state, emulating
+from tests.robots.go1.stand_ins import a_state, emulating, free_port, repeating, udp
 
 T1 = find_task("t1")
 FOLDED = np.tile([0.0, 1.2, -2.6], 4)
@@ -101,8 +100,8 @@ def test_time_based_changes_count_from_the_first_push() -> None:
 def test_the_port_answers_the_last_sender_and_takes_only_good_commands() -> None:
     port = RobotPort("127.0.0.1", 0, Faults())
     with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
+        udp() as one,
+        udp() as other,
     ):
         for client in (one, other):
             client.bind(("127.0.0.1", 0))
@@ -123,7 +122,7 @@ def test_the_port_answers_the_last_sender_and_takes_only_good_commands() -> None
 def test_a_lossy_late_line_loses_delays_and_damages() -> None:
     faults = parse_faults("loss=0.5,duplicate=0.2,corrupt=0.2,delay=5ms")
     port = RobotPort("127.0.0.1", 0, faults)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+    with udp() as client:
         for _ in range(200):
             client.sendto(encode_command(servo(HOME)), port.address)
         assert port.receive(1.0) == []
@@ -151,7 +150,7 @@ def test_a_lossy_late_line_loses_delays_and_damages() -> None:
 def test_a_line_is_good_until_its_faults_begin() -> None:
     with (
         emulating("--fault", "loss=1,after=0.2") as emulated,
-        socket.socket(type=socket.SOCK_DGRAM) as client,
+        udp() as client,
     ):
         client.settimeout(5.0)
         client.connect(("127.0.0.1", emulated.port))
@@ -174,7 +173,7 @@ def test_a_fault_that_is_none_is_refused(text: str) -> None:
 
 
 def test_a_port_that_is_taken_is_one_line() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+    with udp() as other:
         other.bind(("127.0.0.1", 0))
         with pytest.raises(AmheError, match=f"port {other.getsockname()[1]} of 127.0.0.1"):
             RobotPort("127.0.0.1", other.getsockname()[1], Faults())
@@ -193,23 +192,16 @@ TURN = np.array([np.cos(0.3), 0.0, 0.0, np.sin(0.3)])
 @contextmanager
 def serving(motive: Motive) -> Iterator[None]:
     """Frames at 100 Hz or so; the box is seen from 5.6 s on."""
-    stop = threading.Event()
+    times = count(5.01, 0.01)
 
     def serve() -> None:
-        time_now = 5.0
-        while not stop.wait(0.005):
-            time_now += 0.01
-            motive.serve(time_now)
-            box = (np.array([0.6, 0.1, 0.15]), -TURN) if time_now > 5.6 else None
-            motive.show([(np.array([1.0, 2.0, 0.3]), TURN), box], time_now)
+        now = next(times)
+        motive.serve(now)
+        box = (np.array([0.6, 0.1, 0.15]), -TURN) if now > 5.6 else None
+        motive.show([(np.array([1.0, 2.0, 0.3]), TURN), box], now)
 
-    thread = threading.Thread(target=serve)
-    thread.start()
-    try:
+    with repeating(0.005, serve):
         yield
-    finally:
-        stop.set()
-        thread.join()
 
 
 def test_natnet_reads_what_motive_streams(motive: Motive) -> None:
@@ -251,7 +243,7 @@ def test_natnet_listens_at_one_address_and_to_one_port(motive: Motive, address: 
 
 def test_a_frame_comes_as_late_as_it_says(motive: Motive) -> None:
     """Stamped at its exposure, it must not show what came to pass only when it was sent."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+    with udp() as client:
         client.setblocking(False)
         client.sendto(bytes(4), motive.address)  # 0: connect
         motive.serve(5.0)
@@ -267,7 +259,7 @@ def test_a_frame_comes_as_late_as_it_says(motive: Motive) -> None:
 
 def test_no_motive_is_one_line() -> None:
     pytest.importorskip("natnet")
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as deaf:
+    with udp() as deaf:
         deaf.bind(("127.0.0.1", 0))
         with pytest.raises(PoseError, match="no Motive answers"):
             NatNet("127.0.0.1", deaf.getsockname()[1], 0.2).connect()
@@ -280,12 +272,9 @@ def test_the_vendors_own_client_stands_the_robot_up_through_it() -> None:
         "unitree_legged_sdk.robot_interface", reason="unitree-legged-sdk has no wheel here"
     )
     with Emulator(EmulatorOptions(T1, port=0, mocap="none")) as emulator:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            probe.bind(("127.0.0.1", 0))
-            local = probe.getsockname()[1]
-        udp = sdk.UDP(0xFF, local, *emulator.address)
+        link = sdk.UDP(0xFF, free_port(), *emulator.address)
         sent, read = sdk.LowCmd(), sdk.LowState()
-        udp.InitCmdData(sent)
+        link.InitCmdData(sent)
         safe = sdk.Safety(sdk.LeggedType.Go1)
 
         def turn(target: np.ndarray | None, kp: float) -> np.ndarray:
@@ -293,12 +282,12 @@ def test_the_vendors_own_client_stands_the_robot_up_through_it() -> None:
                 for motor, q in zip(sent.motorCmd[:12], target, strict=False):
                     motor.q, motor.dq, motor.Kp, motor.Kd, motor.tau = q, 0.0, kp, 3.0, 0.0
                 safe.PowerProtect(sent, read, 7)
-            udp.SetSend(sent)
-            udp.Send()
+            link.SetSend(sent)
+            link.Send()
             for _ in range(2):
                 emulator._millisecond()
-            udp.Recv()
-            udp.GetRecv(read)
+            link.Recv()
+            link.GetRecv(read)
             return np.array([motor.q for motor in read.motorState[:12]])
 
         for _ in range(20):
@@ -315,7 +304,7 @@ def test_the_vendors_own_client_stands_the_robot_up_through_it() -> None:
 @pytest.mark.medium
 def test_the_command_serves_says_where_and_ends_in_order() -> None:
     with emulating("--task", "t4", "--mocap", "natnet") as emulated:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+        with udp() as client:
             client.settimeout(5.0)
             client.connect(("127.0.0.1", emulated.port))
             client.send(encode_command(MotorCommand()))

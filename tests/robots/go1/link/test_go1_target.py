@@ -51,6 +51,15 @@ def a_target(puppet: Puppet, settings: Go1Settings = SETTINGS, **stage) -> Itera
             yield target, cameras
 
 
+@contextmanager
+def begun(puppet: Puppet, settings: Go1Settings = SETTINGS) -> Iterator[tuple[Go1Target, Stage]]:
+    """A target whose run has begun."""
+    with a_target(puppet, settings) as (target, cameras):
+        target.check()
+        target.begin(lambda text: None)
+        yield target, cameras
+
+
 def exchange(target: Go1Target, plan: Plan) -> tuple[float, Samples]:
     target.play(plan)
     return target.measure()
@@ -68,7 +77,7 @@ def test_a_check_says_what_it_found_and_moves_nothing(puppet: Puppet) -> None:
         found = target.check()
     assert found["battery"] == "80 %"
     assert found["box"] == "at (0.60, 0.00, 0.15) m of the task's frame"
-    assert all(got.kp.max() == got.kd.max() == 0.0 for _, got in puppet.received)
+    assert puppet.idle
 
 
 @pytest.mark.medium
@@ -117,15 +126,12 @@ def test_what_is_not_by_default_is_reported_before_arming(puppet: Puppet) -> Non
 def test_what_cannot_be_is_refused_before_anything_moves(puppet: Puppet, stage: dict, message: str) -> None:
     with a_target(puppet, **stage) as (target, _), pytest.raises(PoseError, match=message):
         target.check()
-    assert all(got.kp.max() == got.kd.max() == 0.0 for _, got in puppet.received)
+    assert puppet.idle
 
 
 @pytest.mark.medium
 def test_a_run_measures_on_its_own_clock_and_plays_its_plans(puppet: Puppet) -> None:
-    with a_target(puppet) as (target, cameras):
-        target.check()
-        texts: list[str] = []
-        target.begin(texts.append)
+    with begun(puppet) as (target, cameras):
         seen = [target.measure()]
         waited = target.misses  # until poses came; a plan was not asked for yet
         for _ in range(30):
@@ -154,9 +160,7 @@ def test_a_run_measures_on_its_own_clock_and_plays_its_plans(puppet: Puppet) -> 
 @pytest.mark.medium
 def test_a_first_plan_in_the_midst_of_a_stride_is_no_jump(puppet: Puppet) -> None:
     stride = HOME + np.tile([0.0, 0.1, -0.65], 4)
-    with a_target(puppet) as (target, _):
-        target.check()
-        target.begin(lambda text: None)
+    with begun(puppet) as (target, _):
         time, _ = target.measure()
         for _ in range(25):
             time, _ = exchange(target, Plan(time + PERIOD, PERIOD, np.tile(stride, (16, 1))))
@@ -167,9 +171,7 @@ def test_a_first_plan_in_the_midst_of_a_stride_is_no_jump(puppet: Puppet) -> Non
 @pytest.mark.medium
 def test_the_delay_of_poses_counts_for_their_age(puppet: Puppet, monkeypatch: pytest.MonkeyPatch) -> None:
     handed: list[float] = []
-    with a_target(puppet, SETTINGS.model_copy(update={"pose_delay": 0.2})) as (target, _):
-        target.check()
-        target.begin(lambda text: None)
+    with begun(puppet, SETTINGS.model_copy(update={"pose_delay": 0.2})) as (target, _):
         time, measured = target.measure()
         monkeypatch.setattr(target._link, "play", lambda plan, pose_time: handed.append(pose_time))
         target.play(Plan(time + PERIOD, PERIOD, np.tile(HOME, (16, 1))))
@@ -200,9 +202,7 @@ def test_box_and_poses_are_looked_at_again_before_it_begins(puppet: Puppet, gone
 @pytest.mark.medium
 @pytest.mark.parametrize("lost", ["poses", "robot", "feed dies", "feed hangs"])
 def test_a_fault_during_the_run_stops_it_and_says_why(puppet: Puppet, lost: str) -> None:
-    with a_target(puppet) as (target, cameras):
-        target.check()
-        target.begin(lambda text: None)
+    with begun(puppet) as (target, cameras):
         time, _ = target.measure()
         feed = target._feed._child
         assert feed is not None
@@ -229,9 +229,7 @@ def test_a_fault_during_the_run_stops_it_and_says_why(puppet: Puppet, lost: str)
 @pytest.mark.medium
 def test_rollouts_that_diverge_sit_the_robot_down(puppet: Puppet) -> None:
     """More than a quarter of them in five cycles in a row; four are forgiven."""
-    with a_target(puppet) as (target, _):
-        target.check()
-        target.begin(lambda text: None)
+    with begun(puppet) as (target, _):
         time, _ = target.measure()
 
         def play(diverged: int) -> None:
@@ -261,7 +259,7 @@ def test_a_rehearsal_measures_on_the_runs_clock_and_sends_nothing(puppet: Puppet
         for _ in range(3):
             time, measured = exchange(target, Plan(time + PERIOD, PERIOD, np.tile(HOME + 0.3, (16, 1))))
             assert measured["joints.position"][0].size
-    assert all(got.kp.max() == got.kd.max() == 0.0 for _, got in puppet.received)
+    assert puppet.idle
 
 
 def walk_on(target: Go1Target, cycles: int) -> list[np.ndarray]:
@@ -280,9 +278,7 @@ def test_datagrams_that_cannot_be_true_change_nothing(puppet: Puppet) -> None:
         '"position": [1e300, 0, 0]', '"time": 1e9, "position": [2.6, -1.0, 0.15]', '"position": [NaN, 0, 0]',
         f'"time": 1{"0" * 400}, "position": [2, 0, 0]',
     )  # fmt: skip
-    with a_target(puppet) as (target, cameras):
-        target.check()
-        target.begin(lambda text: None)
+    with begun(puppet) as (target, cameras):
         walk_on(target, 5)
         cameras.extra += [(form % content).encode() for content in wrong]
         seen = walk_on(target, 20)
@@ -294,9 +290,7 @@ def test_datagrams_that_cannot_be_true_change_nothing(puppet: Puppet) -> None:
 
 @pytest.mark.medium
 def test_many_poses_that_cannot_be_true_let_the_robot_down(puppet: Puppet) -> None:
-    with a_target(puppet) as (target, cameras):
-        target.check()
-        target.begin(lambda text: None)
+    with begun(puppet) as (target, cameras):
         walk_on(target, 5)
         cameras.shift_box(30)
         with pytest.raises(StoppedError, match="of the last 100 poses of 'box' cannot be true: it steps"):

@@ -8,11 +8,10 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
@@ -31,7 +30,7 @@ from amhe_cli.robots.go1.link.packets import SERVO, LinkError, decode_state, enc
 from amhe_cli.robots.go1.link.process import SENDER, Child, Clock, Pipe, take_priority, ticks_ahead
 from amhe_cli.robots.go1.link.sender import RobotSocket, Sender, Share, connected
 from amhe_cli.robots.go1.settings import Go1Settings
-from tests.robots.go1.stand_ins import FOLDED, Puppet, a_state, damps
+from tests.robots.go1.stand_ins import FOLDED, Puppet, a_state, damps, repeating, udp
 
 ROOT = Path(__file__).parents[4]
 #: As fast as the settings allow; the machine under the tests is slow, so be patient with states.
@@ -68,31 +67,43 @@ def running(link: Link) -> None:
     wait_for(link, Phase.RUN)
 
 
-class Player(threading.Thread):
-    """Hands over standing plans until told to stop."""
+@contextmanager
+def driven(puppet: Puppet) -> Iterator[Link]:
+    """A link whose robot has begun to stand up."""
+    with a_link(puppet) as link:
+        link.connect()
+        link.stand()
+        puppet.wait(lambda got: got.kp[0] > 10.0)
+        yield link
+
+
+class Player:
+    """Hands over standing plans while the block lasts, fresh ones by fresh poses unless told otherwise."""
 
     def __init__(self, link: Link) -> None:
-        super().__init__(daemon=True)
-        self.link, self.plans, self.poses, self.stop = link, True, True, threading.Event()
-        self._pose = CLOCK.now()
-        self.start()
+        self.link, self.plans, self.poses, self._pose = link, True, True, CLOCK.now()
 
-    def run(self) -> None:
-        while not self.stop.wait(0.02):
-            self._pose = CLOCK.now() if self.poses else self._pose
-            if self.plans:
-                rows = np.tile(HOME + 0.1, (16, 1))
-                self.link.play(Targets(CLOCK.now(), 0.02, rows), self._pose)
+    def play(self) -> None:
+        self._pose = CLOCK.now() if self.poses else self._pose
+        if self.plans:
+            self.link.play(Targets(CLOCK.now(), 0.02, np.tile(HOME + 0.1, (16, 1))), self._pose)
+
+
+@contextmanager
+def playing(puppet: Puppet) -> Iterator[tuple[Link, Player]]:
+    """A link whose robot follows plans."""
+    with a_link(puppet) as link:
+        running(link)
+        player = Player(link)
+        with repeating(0.02, player.play):
+            puppet.wait(lambda got: bool(np.allclose(got.position, HOME + 0.1, atol=1e-3)))
+            yield link, player
 
 
 @pytest.mark.medium
 def test_a_whole_day_of_a_robot(puppet: Puppet) -> None:
-    with a_link(puppet) as link:
-        running(link)
-        player = Player(link)
-        puppet.wait(lambda got: bool(np.allclose(got.position, HOME + 0.1, atol=1e-3)))
+    with playing(puppet) as (link, _):
         samples = link.samples()
-        player.stop.set()
     commands = [command for _, command in puppet.received]
     gains = np.array([command.kp[0] for command in commands])
     assert gains[0] == 0.0
@@ -137,8 +148,7 @@ def test_nothing_but_idle_packets_before_the_order_to_stand(puppet: Puppet) -> N
         link.connect()
         assert link.report.contact["round_trip_ms"] < 50.0
         assert link.report.contact["share"] > 0.9
-    for _, got in puppet.received:
-        assert got.kp.max() == got.kd.max() == np.abs(got.torque).max() == 0.0
+    assert puppet.idle
 
 
 @pytest.mark.medium
@@ -155,10 +165,7 @@ def test_nothing_but_idle_packets_before_the_order_to_stand(puppet: Puppet) -> N
 def test_a_fault_of_the_robot_damps_the_motors(puppet: Puppet, fault: str, trip: str) -> None:
     """The trips themselves are in test_machine.py."""
     changes = {"mode": {"modes": np.full(12, 8)}, "remote": {"remote": pressing("L2", "B")}}
-    with a_link(puppet) as link:
-        link.connect()
-        link.stand()
-        puppet.wait(lambda got: got.kp[0] > 10.0)
+    with driven(puppet) as link:
         if fault == "silence":
             puppet.mangle = lambda packet: None
         elif fault == "replay":  # two old states by turns: a clock that goes to and fro
@@ -177,14 +184,10 @@ def test_a_fault_of_the_robot_damps_the_motors(puppet: Puppet, fault: str, trip:
 @pytest.mark.slow
 @pytest.mark.parametrize(("lost", "trip"), [("plans", "plan_lost"), ("poses", "pose_lost")])
 def test_a_lost_plan_or_pose_holds_then_sits_then_damps(puppet: Puppet, lost: str, trip: str) -> None:
-    with a_link(puppet) as link:
-        running(link)
-        player = Player(link)
-        puppet.wait(lambda got: bool(np.allclose(got.position, HOME + 0.1, atol=1e-3)))
+    with playing(puppet) as (link, player):
         setattr(player, lost, False)
         sits = puppet.wait(lambda got: got.kp[0] > 0 and got.position[2] < -2.0)
         assert puppet.wait(damps) > sits
-        player.stop.set()
     assert link.report.trip == trip
 
 
@@ -258,10 +261,7 @@ def test_signals_that_suspend_or_end_a_sender_are_reasons_to_stop(
 def test_a_sender_that_is_to_be_suspended_or_to_quit_damps_instead(
     puppet: Puppet, number: signal.Signals, reason: str
 ) -> None:
-    with a_link(puppet) as link:
-        link.connect()
-        link.stand()
-        puppet.wait(lambda got: got.kp[0] > 10.0)
+    with driven(puppet) as link:
         sender = link.process.pid
         assert os.getsid(sender) == sender  # keys of our terminal do not reach it as signals
         os.kill(sender, number)
@@ -281,10 +281,7 @@ def test_a_sender_that_dies_or_hangs_is_stood_in_for(
     Nothing is opened in the emergency, which could fail.
     """
     monkeypatch.setattr(watch, "_DAMP", 0.5)
-    with a_link(puppet) as link:
-        link.connect()
-        link.stand()
-        puppet.wait(lambda got: got.kp[0] > 10.0)
+    with driven(puppet) as link:
         monkeypatch.setattr(socket, "socket", Mock(side_effect=OSError(errno.EMFILE, "Too many open files")))
         link.process.send_signal(number)
         puppet.wait(damps)
@@ -366,16 +363,12 @@ def test_a_sender_that_hangs_before_anything_moved_is_one_line(puppet: Puppet) -
 @pytest.mark.medium
 def test_a_sender_that_stalled_damps_when_it_goes_on(puppet: Puppet) -> None:
     """Fresh states may have come by the time that it has read the old ones."""
-    with a_link(puppet) as link:
-        running(link)
-        player = Player(link)
-        puppet.wait(lambda got: bool(np.allclose(got.position, HOME + 0.1, atol=1e-3)))
+    with playing(puppet) as (link, _):
         link.process.send_signal(signal.SIGSTOP)
         time.sleep(0.4)
         count = len(puppet.received)
         link.process.send_signal(signal.SIGCONT)
         puppet.wait(damps)
-        player.stop.set()
     assert link.report.trip == "stalled"
     assert all(got.kp.max() == 0.0 for _, got in puppet.received[count + 1 :])
 
@@ -403,15 +396,15 @@ _PROGRAM = """
 import os, sys, time
 from amhe_cli.robots.go1.link.process import Clock
 from amhe_cli.robots.go1.link.link import Link
-from tests.robots.go1.link.test_link import QUICK, Player, running
+from tests.robots.go1.link.test_link import QUICK, Player, repeating, running
 import signal
 signal.signal(signal.SIGTERM, lambda *_: None)
 signal.signal(signal.SIGINT, lambda *_: None)
 with Link("127.0.0.1", int(sys.argv[1]), QUICK, Clock()) as link:
     running(link)
-    player = Player(link)
-    print("running", link.process.pid, flush=True)
-    time.sleep(30)
+    with repeating(0.02, Player(link).play):
+        print("running", link.process.pid, flush=True)
+        time.sleep(30)
 """
 
 
@@ -487,12 +480,8 @@ def test_neither_the_first_nor_the_second_ctrl_c_cuts_off_who_stands_in_for_the_
 @pytest.mark.slow
 def test_an_error_of_the_program_sits_the_robot_down(puppet: Puppet) -> None:
     """As a full disk."""
-    with pytest.raises(OSError, match="No space left"), a_link(puppet) as link:
-        running(link)
-        player = Player(link)
-        puppet.wait(lambda got: bool(np.allclose(got.position, HOME + 0.1, atol=1e-3)))
+    with pytest.raises(OSError, match="No space left"), playing(puppet) as (link, _):
         raise OSError(errno.ENOSPC, "No space left on device")
-    player.stop.set()
     commands = [got for _, got in puppet.received]
     folded = next(i for i, got in enumerate(commands) if i > 500 and got.kp[0] > 0 and got.position[2] < -2.0)
     assert folded < next(i for i, got in enumerate(commands) if i > folded and damps(got))
@@ -501,7 +490,7 @@ def test_an_error_of_the_program_sits_the_robot_down(puppet: Puppet) -> None:
 
 @pytest.mark.medium
 def test_nobody_there() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as deaf:
+    with udp() as deaf:
         deaf.bind(("127.0.0.1", 0))
         port = deaf.getsockname()[1]
         message = f"nothing answers from 127.0.0.1:{port}"
@@ -539,7 +528,7 @@ def test_the_setting_of_the_checksum_holds_for_states_too(puppet: Puppet) -> Non
 def test_what_waited_unread_is_as_old_as_it_may_be() -> None:
     """A sender that stalled must not take old states for new ones."""
     with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot,
+        udp() as robot,
         closing(connected("127.0.0.1", bound_port(robot))) as end,
     ):
         ours = RobotSocket(end, CLOCK)
@@ -555,8 +544,8 @@ def test_what_waited_unread_is_as_old_as_it_may_be() -> None:
 
 def test_states_from_another_port_are_not_taken() -> None:
     with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
+        udp() as robot,
+        udp() as stranger,
         closing(connected("127.0.0.1", bound_port(robot))) as end,
     ):
         ours = RobotSocket(end, CLOCK)
@@ -588,15 +577,12 @@ def test_a_robot_that_another_program_drives_is_left_alone(puppet: Puppet) -> No
         count = len(puppet.received)
         time.sleep(0.3)
         assert len(puppet.received) <= count + 1
-    assert all(got.kp.max() == got.kd.max() == 0.0 for _, got in puppet.received)
+    assert puppet.idle
     assert len(puppet.received) < 0.5 * QUICK.connect_time * QUICK.rate
 
 
 def test_a_second_sender_that_comes_later_damps(puppet: Puppet) -> None:
-    with a_link(puppet) as link:
-        link.connect()
-        link.stand()
-        puppet.wait(lambda got: got.kp[0] > 10.0)
+    with driven(puppet) as link:
         puppet.mangle = lambda packet: packet if decode_state(packet).tick % 2 else None
         puppet.wait(damps)
     assert link.report.trip == "share"

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
@@ -24,38 +22,24 @@ from amhe_cli.robots.go1.poses.feed import PoseFeed
 from amhe_cli.robots.go1.poses.gate import Gate, World, check_axes, check_place, offset_pose, tilt_offset
 from amhe_cli.robots.go1.poses.sources import PoseError, UdpPoses, pose_datagram, read_pose
 from amhe_cli.robots.go1.settings import Go1Settings, PoseSettings
+from tests.robots.go1.stand_ins import free_port, repeating, udp
 
 CLOCK = Clock()
 BODIES = ("go1", "box")
 
 
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 @contextmanager
 def sending(port: int, *bodies: str) -> Iterator[None]:
     """Poses of bodies at 200 Hz, by a clock that is 1000 s off."""
-    stop = threading.Event()
 
     def send() -> None:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
-            while not stop.wait(0.005):
-                now = CLOCK.now() + 1000.0
-                for body in bodies:
-                    place = np.array([now, 0.0, 0.1])
-                    message = pose_datagram(body, now, place, np.array([1.0, 0, 0, 0]))
-                    client.sendto(message, ("127.0.0.1", port))
+        now = CLOCK.now() + 1000.0
+        for body in bodies:
+            message = pose_datagram(body, now, np.array([now, 0.0, 0.1]), np.array([1.0, 0, 0, 0]))
+            client.sendto(message, ("127.0.0.1", port))
 
-    thread = threading.Thread(target=send)
-    thread.start()
-    try:
+    with udp() as client, repeating(0.005, send):
         yield
-    finally:
-        stop.set()
-        thread.join()
 
 
 def test_poses_come_through_on_our_clock() -> None:
@@ -75,7 +59,7 @@ def test_a_pose_that_tells_no_time_and_stays_the_same_is_not_new() -> None:
     port, seen, places = free_port(), [], iter((0.1, 0.1, 0.1, 0.2, 0.2, 0.1))
     message = '{"body": "%s", "position": [1, 2, %s], "orientation": [1, 0, 0, 0]}'
     with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client,
+        udp() as client,
         PoseFeed("udp", "127.0.0.1", port, Go1Settings(connect_time=20.0)) as feed,
     ):
         client.connect(("127.0.0.1", port))
@@ -196,7 +180,7 @@ def test_the_offset_of_a_clock_is_found_under_jitter_and_drift() -> None:
 
 def test_poses_are_taken_from_the_first_that_sends_one(tmp_path: Path) -> None:
     port = free_port()
-    with closing(UdpPoses("127.0.0.1", port)) as source, a_socket() as one, a_socket() as other:
+    with closing(UdpPoses("127.0.0.1", port)) as source, udp() as one, udp() as other:
         source.connect()
         for number in range(3):
             one.sendto(MESSAGE % (b"go1", number), ("127.0.0.1", port))
@@ -206,7 +190,7 @@ def test_poses_are_taken_from_the_first_that_sends_one(tmp_path: Path) -> None:
 
 def test_poses_are_taken_from_the_named_port_only() -> None:
     port = free_port()
-    with a_socket() as one, a_socket() as other:
+    with udp() as one, udp() as other:
         one.bind(("127.0.0.1", 0))
         with closing(UdpPoses("127.0.0.1", port, f"127.0.0.1:{one.getsockname()[1]}")) as source:
             source.connect()
@@ -216,10 +200,6 @@ def test_poses_are_taken_from_the_named_port_only() -> None:
 
 
 MESSAGE = b'{"body": "%s", "position": [1, 2, %d], "orientation": [1, 0, 0, 0]}'
-
-
-def a_socket() -> socket.socket:
-    return socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
