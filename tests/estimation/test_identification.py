@@ -18,6 +18,9 @@ from amhe_cli.logs import read_signals
 from amhe_cli.system.system import System
 from tests.estimation.conftest import CHEAP, TRUTH
 
+#: What a model lacks is not looked for here.
+pytestmark = pytest.mark.usefixtures("unexplained")
+
 
 def found(result, name):
     return next(p for p in result.parameters if p.name == name)
@@ -297,7 +300,6 @@ def fall(system, noise: float = 1e-4) -> Log:
 
 
 @pytest.mark.medium
-@pytest.mark.usefixtures("unexplained")
 def test_a_parameter_that_drifts_within_the_log_is_reported(pendulum, swing, caplog):
     heavier = TRUTH * [1.4, 1.0, 1.0, 1.0]
     result = identify(pendulum, [swing(10.0, later=heavier)], [swing(3.0)], IdentifyOptions())

@@ -15,6 +15,8 @@ import pytest
 
 import amhe_cli as amhe
 
+#: What a model lacks is not looked for here.
+pytestmark = pytest.mark.usefixtures("unexplained")
 #: Noise of positions [m or rad] and velocities [m/s or rad/s].
 NOISE = {"position": 0.001, "velocity": 0.02}
 #: The models are exact, to their time step; nothing is held out unless a test says so.
@@ -218,7 +220,6 @@ def heavier(after: float) -> Callable[[mujoco.MjModel, float], None]:
 
 
 @pytest.mark.medium
-@pytest.mark.usefixtures("unexplained")
 def test_a_load_that_changes_in_mid_log_is_found(cart) -> None:
     push = multisine(1, 1.0)
     log = arrays(CART, lambda t: (push(t), 0.0), 24.0, change=heavier(12.0))
@@ -228,7 +229,6 @@ def test_a_load_that_changes_in_mid_log_is_found(cart) -> None:
 
 
 @pytest.mark.medium
-@pytest.mark.usefixtures("unexplained")
 def test_halves_are_halves_of_what_is_fitted() -> None:
     """Seven clips are fitted of this log; of its own halves the second would have too few for a check."""
     system, push = system_of(CART, {"cart_mass": MASS_OF_CART}, held_out=0.25), multisine(1, 1.0)

@@ -32,6 +32,9 @@ from tests.estimation.conftest import CHEAP, NOISE, TRUTH, as_trajectory
 from tests.estimation.test_identification import fall
 from tests.estimation.uncertainty.test_parts import GAIN, MASS, cart, pushed
 
+#: What a model lacks is not looked for here.
+pytestmark = pytest.mark.usefixtures("unexplained")
+
 #: All but what a test is about is exact.
 EXACT = dict.fromkeys(AssumedSettings.model_fields, 0.0)
 

@@ -22,6 +22,9 @@ from amhe_cli.estimation.uncertainty.parts import HALVES, MANY, names_of, parts,
 from amhe_cli.report.identification_page import _run_table
 from tests import conftest
 
+#: What a model lacks is not looked for here.
+pytestmark = pytest.mark.usefixtures("unexplained")
+
 #: Clips of each log, and residuals of each clip; its slopes are orthogonal, of length 1.
 CLIPS, SAMPLES = 4, 6
 

@@ -35,6 +35,9 @@ from amhe_cli.system.system import System
 from tests.conftest import PENDULUM_TRUTH
 from tests.estimation.conftest import CHEAP, TRUTH
 
+#: What a model lacks is not looked for here.
+pytestmark = pytest.mark.usefixtures("unexplained")
+
 
 def values_of(result: Identification) -> set[str]:
     return {p.verdict for p in result.parameters}
@@ -60,7 +63,6 @@ def test_a_prior_at_the_truth_is_no_alarm(at_truth, swing, caplog) -> None:
 
 
 @pytest.mark.medium
-@pytest.mark.usefixtures("unexplained")
 def test_a_log_that_another_load_held_out_is_model_sensitive(pendulum, swing, caplog) -> None:
     """The held-out log has the prior's own load: the fitted one leads away from it."""
     prior = pendulum.space.nominal
@@ -98,7 +100,6 @@ def test_errors_are_told_for_each_channel_over_time(pendulum, swing) -> None:
 
 
 @pytest.mark.medium
-@pytest.mark.usefixtures("unexplained")
 def test_a_noise_that_was_declared_too_small_is_no_difference_between_clips(pendulum, swing) -> None:
     result = identify(pendulum, [swing(5.0, noise=7.0)], None, IdentifyOptions())
     assert result.noise_scale["joints.position"] > 5.0
@@ -106,7 +107,6 @@ def test_a_noise_that_was_declared_too_small_is_no_difference_between_clips(pend
 
 
 @pytest.mark.medium
-@pytest.mark.usefixtures("unexplained")
 @pytest.mark.parametrize(("steps", "as_noise"), [(5, True), (20, False)])
 def test_what_the_model_misses_says_what_to_do(pendulum, swing, caplog, steps, as_noise) -> None:
     """Commands that act 10 or 40 ms late, which the model does not know of: no number is called identified.
@@ -201,7 +201,6 @@ def test_the_truth_misses_by_noise_and_the_prior_by_more(system: amhe.System, lo
 
 
 @pytest.mark.medium
-@pytest.mark.usefixtures("unexplained")
 def test_the_table_is_in_degrees(log: amhe.Log) -> None:
     few = amhe.System.load("pendulum", CHEAP)
     result = amhe.identify(few, log, only=["load_mass"], fix={k: PENDULUM_TRUTH[k] for k in ("damping",)})
