@@ -132,10 +132,11 @@ def searched_for(
     if clips is not None:
         problem = replace(problem, only=tuple(evenly(problem.clips, clips)))
         validation = evenly(validation, clips)
+    kept = Checkpoint(options.checkpoint, problem, options.method)
+    kept.load()  # one of another problem is refused before any work
     if not quick:
         _warn(system, problem)
     watch.keep(RESERVE * problem.linearisation)
-    kept = Checkpoint(options.checkpoint, problem, options.method)
     begin = search.start(problem) if near is None else near.again(problem)
     finding = _search(problem, options.method, watch, kept, begin)
     apart = Search(problem, finding, validation, watch, model)
