@@ -19,6 +19,7 @@ from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
 from amhe_cli.init.drives import entry_of, linear_entry, zeros
 from amhe_cli.init.signals import Guess, Topic, joint_of
+from amhe_cli.init.tables import ENABLED
 from amhe_cli.logs import read_signals
 from amhe_cli.system.model.elements import commanded, names_of
 from amhe_cli.system.parameters.servos import SERVOS
@@ -29,10 +30,7 @@ _GAIN = re.compile(
     r"(^|[_./ ])((position_)?p[_ ]?(gain|coefficient)|(gain|coef)_?p|kp)([_./ \[]|$)|^p$", re.IGNORECASE
 )
 #: What a log may say of a drive beside its motion -> names of the column.
-_TOLD = {
-    "voltage": re.compile(r"volt", re.IGNORECASE),
-    "enabled": re.compile(r"enabled?([_./ ]|$)|(^|[_./ ])torque_on", re.IGNORECASE),
-}
+_TOLD = {"voltage": re.compile(r"volt", re.IGNORECASE), "enabled": ENABLED}
 #: Further numbers of a servo that sets a duty: nominal value (None: as delivered), sd, and what it is.
 #: Users change punch and dead band; cables and batteries have up to a quarter of a motor's resistance.
 _FIRMWARE = {

@@ -29,6 +29,8 @@ _DRIVING, _SUPPLY = {"voltage", "voltages", "volt", "volts", "duty", "pwm", "u"}
 _POSE = re.compile(
     r"(.*?)[_. ]?(p|pos|position|q|quat|quaternion|rot|orientation)?[_. ]?([wxyz])", re.IGNORECASE
 )
+#: A column that says whether a drive's torque is on.
+ENABLED = re.compile(r"enabled?([_./ ]|$)|(^|[_./ ])torque_on", re.IGNORECASE)
 #: How LeRobot calls the measured and the commanded positions of joints.
 _LEROBOT = re.compile(r"^(observation\.state|action)(\.|$|\[)")
 
@@ -70,7 +72,8 @@ def topics_in(
     """
     named = "" if alone else table.name
     own = {_bare(name): one for name, one in drives.items() if _bare(name) not in map(_bare, joints)}
-    meanings = [m for column in table.entries if (m := _meaning(named, column, joints, own)) is not None]
+    columns = [column for column in table.entries if not ENABLED.search(column)]
+    meanings = [m for column in columns if (m := _meaning(named, column, joints, own)) is not None]
     actuated = [joint for joint in joints if joint in {of for of, _ in drives.values()}]
     driven = any(takes == "effort" for _, takes in drives.values())
     head = named or "the table"

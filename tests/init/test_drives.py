@@ -323,13 +323,14 @@ def test_a_drive_takes_the_place_of_the_guesses(gains: str, tmp_path: Path, caps
     assert ("the drives' gain is 16, by the log's column P_Coefficient" in said) == bool(gains)
 
 
-def test_a_log_has_the_supply_of_a_drive_and_says_whether_it_is_on(tmp_path: Path) -> None:
+def test_a_log_has_the_supply_of_a_drive_and_says_whether_it_is_on(tmp_path: Path, capsys) -> None:
     columns = ("elbow_voltage", "elbow_torque_enable")
     system = made_of(tmp_path, "--actuators", "--drive", "elbow=feetech:sts3215", extra=columns)
     assert [driving.key for driving in system.inputs][1:] == [
         "elbow_voltage.voltage",
         "elbow_enabled.enabled",
     ]
+    assert "not compared: the efforts" not in capsys.readouterr().out  # torque_enable is none
     assert system.fixed["elbow_supply"] == 7.4
     assert "elbow_supply_sag" not in system.space.names  # the voltage has sagged already
 
