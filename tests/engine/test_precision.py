@@ -25,7 +25,7 @@ from tests.matching.test_cost import toss
 LOGS = Path(__file__).parents[2] / "examples" / "logs"
 STEP, SECONDS = 0.005, 1.0
 #: What is fitted of a longer log, from its middle [s].
-PART = 2.0
+PART = 1.2
 AXES = ([1, 0, 0], [0, 1, 0], [0, 0, 1])
 
 
