@@ -94,11 +94,11 @@ def together(belief: amhe.Belief) -> None:
     figure, axes = plt.subplots(figsize=(5.0, 3.4))
     axes.fill(*np.exp(edge).T, color="#4c78a8", alpha=0.5, label="90 % of what is possible")
     exponent = -axes_of[1, 1] / axes_of[0, 1]
-    mass = np.linspace(3.3, 5.0, 50)
+    mass = np.linspace(3.0, 5.4, 50)
     constant = np.exp(at[1]) * (np.exp(at[0]) / mass) ** exponent
     axes.plot(mass, constant, "k--", lw=1, label=f"mu · m^{exponent:.1f} constant")
     axes.plot(4.0, 0.6, "kx", label="truth")
-    axes.set(xlabel="box_mass [kg]", ylabel="floor_friction", xlim=(3.3, 5.0), ylim=(0.5, 0.7))
+    axes.set(xlabel="box_mass [kg]", ylabel="floor_friction", xlim=(3.0, 5.4), ylim=(0.48, 0.72))
     axes.legend(frameon=False, loc="upper right")
     save(figure, "together")
 

@@ -185,7 +185,7 @@ def test_half_of_the_demos_log_identifies_the_box(tmp_path: Path) -> None:
     known = {p["name"]: p for p in found["parameters"]}
     assert found["truth"] == {"box_mass": 4.0, "box_inertia_scale": 1.0, "floor_friction": 0.6}
     assert all(known[name]["lower"] < value < known[name]["upper"] for name, value in found["truth"].items())
-    assert known["box_mass"]["shrinkage"] > 0.6 and known["floor_friction"]["shrinkage"] > 0.6
+    assert known["box_mass"]["shrinkage"] > 0.5 and known["floor_friction"]["shrinkage"] > 0.6
     assert found["held_out"]["cost"] < 0.3 * found["held_out"]["initial_cost"]
 
 

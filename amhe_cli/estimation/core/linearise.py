@@ -27,7 +27,7 @@ copied to the host.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -286,6 +286,7 @@ def linearise(
     averaged: bool = False,
     straight: bool = False,
     sparsity: Sparsity | None = None,
+    jitter: FloatArray | None = None,
 ) -> Linearisation:
     """Linearise the residuals of every clip about z and its first-state error.
 
@@ -300,6 +301,7 @@ def linearise(
         straight: Take short steps to one side instead of pairs, where samples have shown that hardly anything
             bends in them: half of the rollouts, and no bend.
         sparsity: What the unknowns move, where they do not move everything.
+        jitter: Bend of narrower samples where `averaged`, shape (c, R): that of these has more than jitter.
     """
     d, nx = z.size, first.mean.shape[1]
     moves = None if sparsity is None else _moved(cost, sparsity, shape, first.shape)
@@ -313,9 +315,8 @@ def linearise(
         errors = first.mean + np.einsum("cij,hj->hci", first.shape, signs[:, d:])
         residuals = cost.residuals(candidates, errors if nx else None)
         odd, even, pairs = _parity(residuals, half)
-        gain = _by_coordinates(_regress(odd, pairs, steps, moves), shape, first.shape)
+        gain, bent = _by_coordinates(_regress(odd, pairs, steps, moves), shape, first.shape), len(even)
         # the middle of a pair may not be z either, and its share of the even response is linear
-        bent = len(even)
         curves = even - _predicted(gain[:, :d], middles, even)
         lift, bend = _moments(curves, pairs[:, :bent])
         centre = to_host(residuals.stacked[-1])
@@ -335,11 +336,13 @@ def linearise(
     residuals = sum(observed.mask.shape[1] * observed.width for observed in cost.clips.observed)
     most = int(TURN_SHARE * cost.engine.device_bytes)
     parts = turns(len(first.mean), 8 * len(candidates) * residuals, most)
-    if len(parts) == 1:
-        return of_clips(cost, first)
     pieces = ((clips, of_clips(cost.of(clips), first.of(clips))) for clips in parts)
     # where nothing touches, a step is none the worse for slopes of seven digits
-    return _joined(cost, first, pieces, np.float64 if moves is None else np.float32)
+    kept_as = np.float64 if moves is None else np.float32
+    found = of_clips(cost, first) if len(parts) == 1 else _joined(cost, first, pieces, kept_as)
+    # what all clips know of the jitter, whether or not they took turns
+    bend = found.bend if jitter is None else jitter
+    return replace(found, gain=_freed(found, bend, shape, half)) if averaged else found
 
 
 def _samples(
@@ -455,6 +458,41 @@ def _regress(
     weighted = xp.asarray(pairs[..., None] * steps)
     right = to_host(xp.einsum("chi,hcr->cir", weighted, odd, optimize=True))
     return np.linalg.solve(normal, right)
+
+
+def _freed(found: Linearisation, jitter: FloatArray, shape: FloatArray, pairs: int) -> FloatArray:
+    """Slopes (c, d + nx, R) of so many pairs of samples of a shape S (d, d) without jitter (c, R)."""
+    freed, own, first = np.zeros_like(found.gain), found.completed, found.first.shape
+    gz, gx = np.split(found.gain[own], [len(shape)], axis=1)
+    slopes = np.concatenate((shape.T @ gz, first[own].transpose(0, 2, 1) @ gx), axis=1)
+    slopes = without_jitter(slopes, jitter[own], pairs, len(shape))
+    freed[own] = _by_coordinates(slopes, shape, first[own])
+    return freed
+
+
+def without_jitter(slopes: FloatArray, jitter: FloatArray, pairs: int, d: int) -> FloatArray:
+    """Slopes (c, d + nx, R) shrunk so that their squares are as large as if no residual jittered.
+
+    A slope from h pairs errs by the jitter's variance over h, and its square would count as information. In
+    A = sum of s s' / (1 + jitter) that is k = sum of jitter / (1 + jitter) / h along every direction: of an
+    eigenvalue l of A, l - k is no jitter. Slopes by z have one A of all clips, which knows their directions
+    better than each clip's own; slopes by first states have one for each clip.
+
+    Args:
+        slopes: Slopes by the coordinates w of the samples, shape (c, d + nx, R).
+        jitter: Sample variance (over h) of the even response, which is that of the odd one, shape (c, R).
+        pairs: Number of pairs, h.
+        d: Number of parameters.
+    """
+    weight, freed = 1.0 / (1.0 + jitter), []
+    noise = (weight * jitter).sum(axis=1) / max(pairs - 1, 1)
+    for k, some in enumerate(np.split(slopes, [d], axis=1)):
+        square = (some * weight[:, None]) @ some.transpose(0, 2, 1)
+        square, spurious = (square, noise) if k else (square.sum(axis=0), noise.sum())
+        values, vectors = np.linalg.eigh(square)
+        kept = np.sqrt(np.maximum(1.0 - spurious[..., None] / np.maximum(values, 1e-300), 0.0))
+        freed.append((vectors * kept[..., None, :]) @ vectors.swapaxes(-1, -2) @ some)
+    return np.concatenate(freed, axis=1)
 
 
 def _by_coordinates(slopes: FloatArray, shape: FloatArray, first_shape: FloatArray) -> FloatArray:

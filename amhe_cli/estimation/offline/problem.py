@@ -178,17 +178,26 @@ class Problem:
         rng: np.random.Generator,
         *,
         straight: bool = False,
+        jitter: FloatArray | None = None,
     ) -> Linearisation:
         """Slopes of a cost about z (d,) and first-state errors, from samples of a shape (d, d).
 
         Efforts along a motion never jitter: the shortest steps give their slopes exactly, where wider ones
         would bend along the valleys of numbers that only together are known well.
         """
-        samples, averaged = self.settings.identify.samples, self.non_smooth
         if self.system.match == "effort":
             straight, shape = True, SHORTEST * shape
         return linearise(
-            cost, z, first, shape, samples, rng, averaged=averaged, straight=straight, sparsity=self.sparsity
+            cost,
+            z,
+            first,
+            shape,
+            self.settings.identify.samples,
+            rng,
+            averaged=self.non_smooth,
+            straight=straight,
+            sparsity=self.sparsity,
+            jitter=jitter,
         )
 
     def recorded(self, cost: MatchingCost) -> FirstStates:

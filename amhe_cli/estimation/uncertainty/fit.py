@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -266,9 +266,16 @@ def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) ->
 
 
 def doubled_step(fit: FinalFit) -> Posterior:
-    """Posterior from samples twice as wide: the same where the model is linear."""
-    slopes = _linearised(fit.problem, fit.z, fit.scale, 2.0 * fit.shape, fit.slopes.first, TURNS)
-    return posterior(fit.z, information(slopes), fit.weight, fit.posterior.prior)
+    """Posterior from samples twice as wide: the same where the model is linear.
+
+    Where contacts jitter, what departs from the slopes is jitter, which counts as noise already: wider
+    samples have a say by their slopes alone.
+    """
+    shape, first, bend = 2.0 * fit.shape, fit.slopes.first, fit.slopes.bend
+    wide = _linearised(fit.problem, fit.z, fit.scale, shape, first, TURNS, bend)
+    if fit.problem.non_smooth:
+        wide = replace(fit.slopes, gain=wide.gain, completed=fit.slopes.completed & wide.completed)
+    return posterior(fit.z, information(wide), fit.weight, fit.posterior.prior)
 
 
 def doubled_prior(fit: FinalFit) -> FloatArray:
@@ -291,9 +298,10 @@ def _linearised(
     shape: FloatArray,
     first: FirstStates | None,
     place: int,
+    jitter: FloatArray | None = None,
 ) -> Linearisation:
-    cost = problem.cost(problem.clips, scale)
-    return problem.linearised(cost, z, first or problem.recorded(cost), shape, problem.rng(3, place))
+    cost, rng = problem.cost(problem.clips, scale), problem.rng(3, place)
+    return problem.linearised(cost, z, first or problem.recorded(cost), shape, rng, jitter=jitter)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,7 +21,7 @@ from amhe_cli.estimation.core.information import (
     noise_scale,
     weights,
 )
-from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, linearise
+from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, linearise, without_jitter
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.matching.cost import MatchingCost
 from tests.estimation.conftest import TRUTH
@@ -91,6 +91,36 @@ def test_samples_that_a_bound_cuts_short_move_no_mean(cost: MatchingCost) -> Non
     both = [about(cost, nothing, z, averaged=True) for z in (inside, at_bound)]
     free, cut = (np.abs(found.residual - found.centre).max() for found in both)
     assert cut < 2.0 * free
+
+
+@pytest.mark.parametrize("size", [0.0, 0.3, 3.0])
+def test_what_jitter_makes_of_slopes_is_no_information(size: float) -> None:
+    """Of slopes that err by jitter, what is left tells as much as the true ones; of jitter alone, nothing."""
+    rng = np.random.default_rng(0)
+    clips, d, nx, residuals, pairs = 12, 3, 2, 400, 8
+    true = size * rng.standard_normal((clips, d + nx, residuals))
+    true[:, 0] = 0.0
+    jitter = rng.uniform(1.0, 4.0, (clips, residuals))
+    noisy = true + rng.standard_normal(true.shape) * np.sqrt(jitter / pairs)[:, None]
+    freed = without_jitter(noisy, jitter * (pairs - 1) / pairs, pairs, d)
+    for own in (slice(0, d), slice(d, None)):  # of the parameters, and of first states
+        told = [
+            np.einsum("cir,cr,cjr->ij", slopes[:, own], 1.0 / (1.0 + jitter), slopes[:, own])
+            for slopes in (true, noisy, freed)
+        ]
+        spurious = np.trace(told[1] - told[0]) / len(told[0])
+        assert np.abs(told[2] - told[0]).max() < 0.2 * spurious + 0.1 * np.abs(told[0]).max()
+
+
+def test_clips_that_take_turns_are_freed_of_jitter_together(
+    cost: MatchingCost, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = FirstStates.recorded(len(cost.clips.windows), cost.nx)
+    together = about(cost, first, averaged=True)
+    monkeypatch.setattr("amhe_cli.estimation.core.linearise.TURN_BYTES", 1000)
+    in_turns = about(cost, first, averaged=True)
+    np.testing.assert_array_equal(in_turns.gain, together.gain)
+    assert (about(cost, first).gain != together.gain).any()
 
 
 def made(clips: int = 3, nuisances: int = 2, seed: int = 0) -> tuple[np.ndarray, ...]:

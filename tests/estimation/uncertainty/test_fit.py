@@ -22,7 +22,13 @@ from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.offline.watch import Watch
-from amhe_cli.estimation.uncertainty.fit import FinalFit, doubled_prior, final_fit, posterior
+from amhe_cli.estimation.uncertainty.fit import (
+    FinalFit,
+    doubled_prior,
+    doubled_step,
+    final_fit,
+    posterior,
+)
 from amhe_cli.estimation.uncertainty.misfit import (
     held_fixed,
     left_out,
@@ -188,6 +194,20 @@ def test_noise_in_a_clip_that_is_left_out_is_no_contradiction(pendulum, swing) -
     fit = final_fit(problem, found)
     assert [problem.clips[i].start * log.dt for i in np.flatnonzero(fit.weight == 0.0)] == [2.4]
     assert left_out(fit) == ()
+
+
+def test_jitter_counts_in_the_noise_and_not_again(pendulum, swing, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where contacts jitter, wider samples widen an interval by other slopes alone."""
+    fit = final_fit(*at_truth(pendulum, swing(3.0)))
+    jagged = SimpleNamespace(non_smooth=True)
+    bent, wider = replace(fit.slopes, bend=fit.slopes.bend + 4.0), []
+    for gain, problem in ((1.0, jagged), (0.7, jagged), (1.0, fit.problem)):
+        slopes = replace(bent, gain=gain * bent.gain)
+        monkeypatch.setattr("amhe_cli.estimation.uncertainty.fit._linearised", lambda *_, to=slopes: to)
+        wider.append(doubled_step(replace(fit, problem=problem)).covariance - fit.posterior.covariance)
+    np.testing.assert_allclose(wider[0], 0.0, atol=1e-12)
+    assert np.linalg.eigvalsh(wider[1]).min() > 0.0, "other slopes"
+    assert np.trace(wider[2]) > 0.0, "a smooth model bends"
 
 
 #: Two hinges, each with a motor.
