@@ -73,11 +73,7 @@ def _surges(offset: float | None, count: int, slow: float) -> tuple[Segment, ...
 MOTIONS = (
     STEADY,
     Motion("surge", "a surge in every stride", _surges(None, 1, 0.1)),
-    Motion(
-        "sides",
-        "surges left and right of the middle, alternating",
-        _surges(0.12, 2, 0.05) + _surges(-0.12, 2, 0.05),
-    ),
+    Motion("sides", "surges left and right in turn", _surges(0.12, 2, 0.05) + _surges(-0.12, 2, 0.05)),
     Motion("release", "back off and meet the box again", (Segment(0.6, -0.2), Segment(1.4, 0.4))),
 )
 
