@@ -2,8 +2,8 @@
 
 Measured efforts pass a low-pass, symmetric in time, that leaves the band of the motion as it is, and are
 taken at its rate: neighbours do not repeat each other. Errors of the motion count as noise of the efforts.
-Where a joint with dry friction turns over, is slow or stands, nothing says what its friction is: it is not
-compared there.
+Where a joint turns over or is slow, its dry friction is not known so well: that is noise, too. Where nothing
+says which way it acts, the joint is not compared.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ from amhe_cli.system.system import System
 _RATE = 6.0
 #: Half the length of the low-pass, in samples that it leaves.
 _REACH = 4
-#: A joint is about to turn over, or has just done so, within this time [s].
+#: A joint turns over at a time that is known so well [s].
 _TURN = 0.01
-#: Share of its rms speed below which a joint is slow: dry friction sets in gradually, of every joint in
-#: another way (of published arms over 0.1 to 0.4 rad/s).
-_SLOW = 0.1
+#: Speed, as a share of its rms, over which dry friction sets in: gradually, and of every joint in another way
+#: (of published arms over 0.1 to 0.4 rad/s).
+_SLOW = 0.05
 #: A joint rests at speeds up to so many sd of their errors.
 _RESTS = 3.0
-#: Dry friction counts as known where this share of it acts, and it is known when.
-_ACTS, _KNOWN = 0.9, 0.1
+#: Sd of the share of dry friction from which on nothing says which way it acts.
+_UNKNOWN = 0.5
 #: Noise that an effort has at least, as a share of its range.
 _LEAST = 1e-4
 #: Logs whose paths are kept for the next call.
@@ -52,8 +52,8 @@ class EffortPath:
         motion: The motion of the log.
         at: Which of the motion's instants they are, shape (T,).
         dry: Share of dry friction that acts, shape (T, nv).
-        known: Whether it is known, shape (T, nv).
-        variance: Variance of the efforts that errors of the motion make, shape (T, nv).
+        known: Whether it is known which way it acts, shape (T, nv).
+        variance: Variance of the efforts that errors of the motion and of that share make, shape (T, nv).
         every: Rows of the log from one instant to the next.
     """
 
@@ -93,27 +93,34 @@ def _path(key: _Key, log: Log) -> EffortPath:
     model, motion = system.model, motion_of(system, log)
     step = max(1, int(1.0 / (_RATE * max(float(motion.band.max()), 1e-9) * motion.step)))
     step = min(step, max(1, len(motion.rows) // (4 * _REACH)))
-    at, now, later = [], [], []
-    sd = np.maximum(motion.sd[1], 1e-9)
-    for stretch in np.unique(motion.stretch):
-        own = np.flatnonzero(motion.stretch == stretch)
-        # a joint that turns: its velocity changes its sign now, or within the time of turning over
-        v, a = motion.qvel[own], motion.qacc[own]
-        signs = [np.tanh(np.sqrt(2.0 / np.pi) * moved / sd) for moved in (v, v + _TURN * a)]
-        places = np.arange(_REACH * step, own.size - _REACH * step, step)
-        at.append(own[places])
-        for found, sign in zip((now, later), signs, strict=True):
-            found.append(lowpassed(sign, places, step))
-    rows, dry, other = np.concatenate(at), np.concatenate(now), np.concatenate(later)
-    rubs = (model.dof_frictionloss > 0.0) | ("dof_frictionloss" in system.edits.fields)
-    speed = np.abs(motion.qvel)
+    sd, speed = np.maximum(motion.sd[1], 1e-9), np.abs(motion.qvel)
     moves = speed > _RESTS * sd
     usual = np.sqrt((speed**2 * moves).sum(axis=0) / np.maximum(moves.sum(axis=0), 1))
-    slow = speed[rows] < _SLOW * usual
-    known = (np.abs(dry) > _ACTS) & (np.abs(dry - other) < _KNOWN) & ~slow | ~rubs
+    doubt = np.sqrt(sd**2 + (_TURN * motion.qacc) ** 2 + (_SLOW * usual) ** 2)
+    # the mean of the sign of a speed of which that is the sd, by a tanh that is nearly so
+    dry, sure = (np.tanh(np.sqrt(2.0 / np.pi) * motion.qvel / of) for of in (sd, doubt))
+    at, acts, unsure = [], [], []
+    for stretch in np.unique(motion.stretch):
+        own = np.flatnonzero(motion.stretch == stretch)
+        places = np.arange(_REACH * step, own.size - _REACH * step, step)
+        at.append(own[places])
+        acts.append(lowpassed(dry[own], places, step))
+        unsure.append(lowpassed(1.0 - np.abs(sure[own]), places, step))
+    rows, dry, unsure = map(np.concatenate, (at, acts, unsure))
+    friction = _dry_friction(system)
     variance = effort_variance(model, motion.qpos[rows], motion.qvel[rows], motion.qacc[rows], motion.sd)
+    variance += (friction * unsure) ** 2
+    known = (unsure < _UNKNOWN) | (friction == 0.0)
     every = step * round(motion.step / log.dt)
     return EffortPath(motion.rows[rows], motion, rows, dry, known, variance, every)
+
+
+def _dry_friction(system: System) -> FloatArray:
+    """Dry friction of each joint, no less than one prior sd of what is free makes it, shape (nv,)."""
+    space, now = system.edits.space, system.model.dof_frictionloss
+    scale = np.where(space.log, space.nominal, 1.0) * np.array(space.prior_sd)
+    written = system.edits.written(np.array(space.nominal) + np.diag(scale)).get("dof_frictionloss")
+    return now if written is None else np.abs(written).max(axis=0, initial=0.0)
 
 
 @cache

@@ -25,7 +25,7 @@ from amhe_cli.estimation.explain.unexplained import unexplained
 from amhe_cli.estimation.offline.clips import whole
 from amhe_cli.report.missing import rest
 from amhe_cli.system.parameters.gear_friction import OWN as GEAR
-from tests.matching.test_efforts import PARAMETERS, recorded, system_of
+from tests.matching.test_efforts import DT, PARAMETERS, path, recorded, system_of
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "logs" / "pendulum.mcap"
 
@@ -389,3 +389,20 @@ def test_what_torques_lack_is_named(
         assert found.rows[0].text.startswith("its measured torques come ")
         assert float(found.rows[0].text.split()[4]) == pytest.approx(10.0, rel=0.1)
         assert found.rows[0].text.endswith("ms later than its motion")
+
+
+@pytest.mark.medium
+def test_friction_that_sets_in_gradually_is_not_called_drag_above_a_speed() -> None:
+    """Beyond the knee friction grows less: a force that holds back there would have the other sign."""
+    free = {name: PARAMETERS[name] for name in ("lower", "friction")}
+    system = system_of(parameters=free | {"scale": PARAMETERS["scale"], "offset": PARAMETERS["offset"]})
+    log = recorded(system, np.array(system.space.nominal))
+    series, moved = dict(log.series), np.gradient(path(DT * np.arange(log.steps), 0), DT, axis=0)
+    tau, speed = series["torque.effort"], moved[: len(log["torque.effort"].values)]
+    lacks = np.sign(speed) * np.maximum(1.0 - np.abs(speed) / 0.8, 0.0) * [2.0, 0.0]
+    series["torque.effort"] = replace(tau, values=tau.values - lacks)
+
+    found = _explained(system, replace(log, series=series))
+
+    assert (found.rows[0].kind, found.rows[0].place) == ("stribeck", "a")
+    assert "friction smaller by" in found.rows[0].text

@@ -111,9 +111,9 @@ def test_residuals_at_the_truth_are_the_noise(system):
         white = values[0, 0, observed.mask[0], 0]
         assert white.std() == pytest.approx(1.0, abs=0.2)
         assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 0.3
-        # nothing is compared where the joint turns over, or its dry friction is not known
+        # little is compared where the joint turns over: its dry friction of 0.3 N m is not known there
         slow = np.abs(path((observed.rows[0] + 1) * DT, 1)[:, observed.channel.part]) < 0.01
-        assert not observed.mask[0][slow].any()
+        assert (np.ravel(observed.noise)[slow] > 0.1).all()
 
 
 @pytest.mark.medium
@@ -133,7 +133,7 @@ def test_the_truth_is_found_within_its_intervals(system):
 
 
 @pytest.mark.parametrize(("wide", "rests"), [(0.0, 0), (2e-3, 0), (2e-3, 3)])
-def test_efforts_of_slow_joints_are_not_compared_however_far_their_motion_reaches(system, wide, rests):
+def test_efforts_of_slow_joints_count_little_however_far_their_motion_reaches(system, wide, rests):
     """Dry friction sets in gradually there, of every joint in another way; standing still is not slow."""
     log = recorded(system, truth(system))
     series, moved = dict(log.series), log["joints.position"]
@@ -150,8 +150,10 @@ def test_efforts_of_slow_joints_are_not_compared_however_far_their_motion_reache
     )
     assert (found.motion.band.max() > 9.0) == bool(wide)
     inside = found.rows < log.steps - 500
-    slow = np.abs(found.motion.qvel[found.at][inside]) < 0.09 * usual
-    assert slow.any() and not found.known[inside][slow].any() and found.known[inside].mean() > 0.8
+    slow = np.abs(found.motion.qvel[found.at][inside]) < 0.05 * usual
+    # what is not known of a friction of 0.3 N m, beside some 0.002 N m of noise
+    assert slow.any() and (found.variance[inside][slow] > 0.1**2).all()
+    assert (np.median(found.variance[inside], axis=0) < 0.02**2).all() and found.known[inside].mean() > 0.8
 
 
 def test_models_are_compared_by_their_efforts(system):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -20,6 +21,8 @@ from amhe_cli.system.system import System
 
 #: A parameter's step for its slope, in its prior sd.
 _STEP = 1e-3
+#: Instants to either side whose changes say how large the noise is.
+_NEAR = 4
 
 
 class FollowedMotion(DrivenMotion):
@@ -40,7 +43,7 @@ class FollowedMotion(DrivenMotion):
 def unexplained_efforts(system: System, parts: Sequence[Window], z: FloatArray) -> Unexplained | None:
     """What a system does not explain of the efforts in some parts of logs; None: none were compared.
 
-    It is a force: the mass matrix is one. Where an effort was not compared, residual and columns are zero.
+    It is a force: the mass matrix is one. Where an effort was not compared, it counts nothing.
 
     Args:
         system: The system.
@@ -62,12 +65,14 @@ def unexplained_efforts(system: System, parts: Sequence[Window], z: FloatArray) 
     dofs = sorted({one.channel.columns[0] for _, cost in made for one in cost.clips.observed})
     every = -(-sum(cost.clips.observed[0].rows.shape[1] for _, cost in made) // MOST)
     columns = [_of_part(cost, part, space.z_of(steps), dofs, every) for part, cost in made]
-    states, times, compared, tau, predicted = (list(each) for each in zip(*columns, strict=True))
+    states, times, compared, tau, sds, predicted = (list(each) for each in zip(*columns, strict=True))
     moved = [np.concatenate(each) for each in zip(*states, strict=True)]
     counts = np.concatenate(compared)
     left = np.concatenate(predicted, axis=1) - np.concatenate(tau)
     residual = left[0] * counts
     slopes = (left[1:] * counts - residual) / _STEP
+    sd = np.concatenate(sds)
+    weights = counts * np.median(sd, axis=0) / sd
     motion = _motion(system, moved, times, made, dofs, every)
     needed = np.zeros_like(moved[1])
     needed[:, dofs] = np.concatenate(predicted, axis=1)[0]
@@ -77,28 +82,53 @@ def unexplained_efforts(system: System, parts: Sequence[Window], z: FloatArray) 
     # no column has what was measured: a model that weighs nothing would explain a torque that is nothing
     forces = Forces(needed, needed, idle, friction, np.tile(np.eye(nv), (n, 1, 1)))
     rows, toward = np.any(counts, axis=1), (theta - np.array(space.nominal)) / scale
-    return Unexplained(motion, rows, residual, slopes, toward, forces, idle, counts)
+    return Unexplained(motion, rows, residual, slopes, toward, forces, idle, weights)
 
 
 def _of_part(  # type: ignore[no-untyped-def]
     cost: MatchingCost, part: Window, z: FloatArray, dofs: Sequence[int], every: int
 ):
-    """Motion, times, which efforts count (s, k), the measured (s, k) and the predicted ones (p, s, k).
+    """Motion, times, which efforts count (s, k), the measured ones, their sd, the predicted ones (p, s, k).
 
     Of the instants only each of so many is taken.
     """
     along, observed = cost.clips.starts.along, cost.clips.observed
     assert along is not None, "efforts are matched"
     rows = observed[0].rows[0]
-    compared, tau = (np.zeros((rows.size, len(dofs))) for _ in range(2))
+    compared, tau, sd = np.zeros((3, rows.size, len(dofs)))
     predicted = np.zeros((len(z), rows.size, len(dofs)))
     for one, values in zip(observed, cost.predict(z).values, strict=True):
         k = dofs.index(one.channel.columns[0])
-        compared[:, k], tau[:, k] = one.mask[0], one.measured[0, :, 0]
+        compared[:, k], tau[:, k], sd[:, k] = one.mask[0], one.measured[0, :, 0], np.ravel(one.noise)
         predicted[..., k] = to_host(values)[:, 0, :, 0]
     some, times = slice(None, None, every), (part.start + 1 + rows) * part.log.dt
     moved = tuple(one[some] for one in along.flat)
-    return moved, times[some], compared[some], tau[some], predicted[:, some]
+    return moved, times[some], compared[some], tau[some], sd[some], predicted[:, some]
+
+
+def _near_sums(changes: FloatArray) -> FloatArray:
+    """Sums (r, k) over the changes (r - 1, k) near each of r instants."""
+    padded = np.pad(changes, ((_NEAR, _NEAR), (0, 0)))
+    return np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEAR, axis=0).sum(axis=2)
+
+
+def evened(found: Unexplained, left: FloatArray) -> Unexplained:
+    """The same with weights by the noise near each instant: a jerk excites what the smoothed motion has not.
+
+    Args:
+        found: What efforts leave unexplained.
+        left: What all causes that were found leave of it at the rows that count, weighted, shape (r, k).
+    """
+    assert found.weights is not None, "efforts have weights"
+    weights = found.weights[found.rows]
+    both = (weights[1:] * weights[:-1] > 0.0).astype(float)
+    # a difference of white noise has its variance twice
+    count, squares = map(_near_sums, (both, 0.5 * both * np.diff(left, axis=0) ** 2))
+    variance = np.ma.array(squares / np.maximum(count, 1.0), mask=count == 0.0)
+    ratio = variance / np.maximum(np.ma.median(variance, axis=0), 1e-300)
+    even = np.zeros_like(found.weights)
+    even[found.rows] = weights / np.sqrt(1.0 + np.ma.filled(ratio, 0.0))
+    return replace(found, weights=even)
 
 
 def _motion(  # type: ignore[no-untyped-def]

@@ -12,7 +12,7 @@ from amhe_cli.core.log import Window
 from amhe_cli.estimation.core.result import Missing, MissingRow
 from amhe_cli.estimation.explain.candidate import CauseMaker
 from amhe_cli.estimation.explain.drives import drive_causes, prior_causes
-from amhe_cli.estimation.explain.efforts import unexplained_efforts
+from amhe_cli.estimation.explain.efforts import evened, unexplained_efforts
 from amhe_cli.estimation.explain.inputs import LIKE, mended
 from amhe_cli.estimation.explain.joints import joint_causes
 from amhe_cli.estimation.explain.regression import DOUBT, CauseColumns, Regression, blocks_of, memory_of
@@ -69,37 +69,42 @@ def forced(
     system: System, parts: Sequence[Window], z: FloatArray, rng: np.random.Generator, turns: int
 ) -> Missing:
     """What the model lacks, at the values that leave least beside it; see `explain`."""
-    best, fit = _forced(system, parts, z, rng)
+    if (found := looked_at(system, parts, z)) is None or not found.stretches:
+        off = "no motion was measured where nothing touches; record some with wheels or feet off the ground"
+        return Missing(untested=off)
+    best, fit, left = _forced(system, parts, z, found, rng)
+    if found.weights is not None:
+        return _forced(system, parts, z, evened(found, left), rng)[0]
     way = np.inf
-    for _ in range(turns if z.size and not best.untested else 0):
+    for _ in range(turns if z.size else 0):
         moved = stepped(system, z, fit)
         before, way = way, float(np.abs(moved - z).max())
         if way < SHORT or way > before:  # it has arrived, or goes astray
             break
-        other, fit = _forced(system, parts, moved, rng)
-        if other.untested:
+        if (found := looked_at(system, parts, moved)) is None or not found.stretches:
             break
-        best, z = other, moved
+        best, fit, _ = _forced(system, parts, moved, found, rng)
+        z = moved
     return best
 
 
 def _forced(
-    system: System, parts: Sequence[Window], z: FloatArray, rng: np.random.Generator
-) -> tuple[Missing, FloatArray]:
-    """Regress what a system with some values does not explain on all causes; and the values' step."""
-    found = looked_at(system, parts, z)
-    if found is None or not found.stretches:
-        off = "no motion was measured where nothing touches; record some with wheels or feet off the ground"
-        return Missing(untested=off), 0.0 * z
+    system: System, parts: Sequence[Window], z: FloatArray, found: Unexplained, rng: np.random.Generator
+) -> tuple[Missing, FloatArray, FloatArray]:
+    """Regress on all causes what a system with some values does not explain.
+
+    Returns:
+        What is missing; the values' step, shape (d,); and what all causes leave, weighted, shape (r, k).
+    """
     dofs, maker = list(found.motion.dofs), CauseMaker(system, found)
     tried = (*joint_causes(maker), *drive_causes(maker), *prior_causes(maker))
     candidates = [cause for cause in tried if cause.dofs]
     made = _regression(found)
-    counts = 1.0 if found.counts is None else found.counts[found.rows]
+    weights = _weights(found)
     columns = [
         CauseColumns(
             tuple(dofs.index(d) for d in c.dofs),
-            found.made_by(c.force) * counts,
+            found.made_by(c.force) * weights,
             len(c.force) + (c.kind in SEARCHED),
             c.most,
             c.least,
@@ -108,7 +113,7 @@ def _forced(
         for c in candidates
     ]
     chosen, chance, left, fit = made.ladder(columns, rng, lambda: _own_error(system, parts, z, found, rng))
-    rows, force = [], found.behind(left)
+    rows, force = [], found.behind(left / np.maximum(weights, 1e-3))
     for one in chosen:
         cause, own = candidates[one.index], candidates[one.index].dofs[0]
         explained = np.tensordot(one.coefficients, cause.force[..., own], 1)
@@ -129,8 +134,8 @@ def _forced(
         )
     moved = found.moved
     start, after = (float(np.mean((e**2).mean(axis=0) / moved)) for e in (made.left, left))
-    looked = 1.0 if found.counts is not None else float(found.rows.mean())  # contacts are in no effort
-    return Missing(tuple(rows), chance, len(candidates), start, after, looked=looked), fit
+    looked = 1.0 if found.weights is not None else float(found.rows.mean())  # contacts are in no effort
+    return Missing(tuple(rows), chance, len(candidates), start, after, looked=looked), fit, left
 
 
 def _model_alone(
@@ -156,10 +161,14 @@ def looked_at(system: System, parts: Sequence[Window], z: FloatArray) -> Unexpla
     return (unexplained_efforts if system.match == "effort" else unexplained)(system, parts, z)
 
 
+def _weights(found: Unexplained) -> FloatArray | float:
+    return 1.0 if found.weights is None else found.weights[found.rows]
+
+
 def _regression(found: Unexplained) -> Regression:
-    residual, memory = found.residual[found.rows], memory_of(found.residual[found.rows], found.stretches)
-    blocks = blocks_of(found.stretches, memory)
-    return Regression(residual, found.slopes[:, found.rows], blocks, found.toward, memory)
+    weights, memory = _weights(found), memory_of(found.residual[found.rows], found.stretches)
+    residual, slopes = found.residual[found.rows] * weights, found.slopes[:, found.rows] * weights
+    return Regression(residual, slopes, blocks_of(found.stretches, memory), found.toward, memory)
 
 
 def _own_error(

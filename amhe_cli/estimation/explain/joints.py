@@ -223,7 +223,9 @@ def _limits(maker: CauseMaker, j: MeasuredDof, forces: bool) -> Iterator[Cause]:
             words = says(f"its drive gives no more than about {top:.2g} {j.f}")
             yield maker.on(j, "force limit", [j.given - np.clip(j.given, -top, top)], words, most=0.0)
         beyond = np.sign(j.v) * np.maximum(np.abs(j.v) - fast, 0.0)
-        yield maker.on(j, "speed limit", [beyond], says(f"it is held back above {fast:.2g} {j.u}/s"), "speed")
+        yield maker.on(
+            j, "speed limit", [beyond], says(f"it is held back above {fast:.2g} {j.u}/s"), "speed", most=0.0
+        )
     for quantile in _PLACES:
         for side, word in ((1.0, "above"), (-1.0, "below")):
             at = np.quantile(side * j.q, quantile)

@@ -34,7 +34,7 @@ class Unexplained:
         toward: Coefficients of the slopes that lead back to the priors, in their sd, shape (d,).
         forces: Forces along the motion, not filtered.
         uncommanded: What each actuator gives without its command, shape (n, actuators, nv).
-        counts: 1 where the residual counts, else 0, shape (n, k); None: it does at all rows that count.
+        weights: How much the residual counts, shape (n, k); None: alike at all rows that count.
     """
 
     motion: DrivenMotion
@@ -44,7 +44,7 @@ class Unexplained:
     toward: FloatArray
     forces: Forces
     uncommanded: FloatArray
-    counts: FloatArray | None = None
+    weights: FloatArray | None = None
 
     @property
     def moved(self) -> FloatArray:
