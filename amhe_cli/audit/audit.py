@@ -148,6 +148,10 @@ def audit(
             break
         try:
             search, wrong = _without_suspects(partial(searched, clips, length), claims, wrong, search)
+        except KeyboardInterrupt:
+            if search is None:
+                raise
+            search.watch.interrupted = True  # what the search before this one found is told
         except EstimationError:
             if length is None:
                 raise
@@ -161,8 +165,8 @@ def audit(
 def _assumed(settings: Mapping[str, Any]) -> AssumedSettings:
     """What data sheets are worth by some settings; what is wrong with these the first system says."""
     try:
-        return AssumedSettings(**settings["identify"].get("assumed", {}))
-    except (TypeError, ValueError):
+        return AssumedSettings.model_validate(settings["identify"].get("assumed", {}))
+    except (AttributeError, ValueError):
         return AssumedSettings()
 
 

@@ -12,6 +12,7 @@ import pytest
 
 from amhe_cli.audit import audit as module
 from amhe_cli.audit.audit import audit
+from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.estimation.identification import IdentifyOptions
 from amhe_cli.init.folder import proposed
 from amhe_cli.logs import read_log
@@ -90,3 +91,37 @@ def test_a_search_that_is_interrupted_keeps_what_was_found_before(monkeypatch: p
     monkeypatch.setattr(module, "_cost", lambda search: 10.0 + search.cost)
     found, wrong = module._without_suspects(searched, [], frozenset(), None)
     assert found.watch.interrupted and wrong == {"0"} and len(asked) == 3
+
+
+def test_an_interruption_before_the_second_search_begins_keeps_the_first(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    first: Any = SimpleNamespace(
+        problem=SimpleNamespace(system="model"), watch=SimpleNamespace(interrupted=False)
+    )
+
+    def without_suspects(searched, claims, wrong, near) -> Any:
+        if near is not None:
+            raise KeyboardInterrupt
+        return first, wrong
+
+    for name, stub in (
+        ("claims_of", lambda *_: ["a claim"]), ("doubts_of", lambda _: []), ("_lines", lambda *_: []),
+        ("_without_suspects", without_suspects), ("concluded", lambda search, quick: search),
+    ):  # fmt: skip
+        monkeypatch.setattr(module, name, stub)
+    proposal: Any = SimpleNamespace(settings={}, match="motion")
+    found: Any = module.audit(proposal, "arm", lambda _: [], IdentifyOptions()).found
+    assert found is first and first.watch.interrupted
+
+
+@pytest.mark.parametrize("given", [0, {"gain": 0.0}])
+def test_what_is_said_to_be_exact_is_no_doubt(given: Any) -> None:
+    """`assumed: 0` says so of all."""
+    found = module._assumed({"identify": {"assumed": given}})
+    assert found.gain == 0.0 and (found.mass == 0.0) == (given == 0)
+
+
+@pytest.mark.parametrize("wrong", [{"identify": 3}, {"identify": {"assumed": "much"}}])
+def test_settings_that_are_none_are_left_to_the_system(wrong: Any) -> None:
+    assert module._assumed(wrong) == AssumedSettings()
