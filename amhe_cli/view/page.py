@@ -90,7 +90,8 @@ def strip_data(viewing: Viewing, take: Take, scene: Scene, instants: int) -> dic
         noise = np.array([one.noise or 1.0 for one in viewing.columns])
         gaps = np.nan_to_num(np.abs(tracks[1].values - tracks[0].values) / noise, posinf=0.0)
         widest = int(np.argmax(gaps.max(axis=1)))
-        rows[np.argmin(abs(rows[:-1] - widest))] = widest  # the last one stays the end
+        if widest != rows[-1]:  # the last one stays the end
+            rows[np.argmin(abs(rows[:-1] - widest))] = widest
     return _about(scene, (), viewing.candidates) | {
         "times": take.ends[0] + take.measured.step * rows,
         "frames": [[_floats(track.poses[row]) for track in tracks] for row in rows],

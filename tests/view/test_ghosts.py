@@ -20,7 +20,7 @@ from amhe_cli.estimation.offline.clips import whole
 from amhe_cli.report.identification_page import Beside
 from amhe_cli.view.ghosts import Viewing, continued, viewing
 from amhe_cli.view.open import view_of
-from amhe_cli.view.page import Heading, saved_page
+from amhe_cli.view.page import Heading, saved_page, strip_data
 from amhe_cli.view.scene import scene_of
 from amhe_cli.view.shapes import Shape, decimated, shape_of
 from tests.conftest import PENDULUM_TRUTH, write_pendulum_log
@@ -260,6 +260,20 @@ def amhe_log(vectors: np.ndarray) -> np.ndarray:
     from amhe_cli.core.rotations import log
 
     return log(exp(vectors))
+
+
+def test_a_strip_has_the_instant_of_the_largest_gap_and_no_instant_twice(shown: Viewing) -> None:
+    take, scene = shown.takes[0], scene_of(shown.scene.system)
+    first, *others = take.ghosts
+    assert first is not None
+    last = len(take.rows) - 1
+    for widest in (2, last // 2 + 1, last):
+        values = take.measured.values.copy()
+        values[widest] += 100.0
+        apart = replace(take, ghosts=(replace(first, values=values), *others))
+        times = strip_data(shown, apart, scene, 5)["times"]
+        assert len(set(times)) == 5 and times[-1] == pytest.approx(take.ends[0] + take.measured.step * last)
+        assert np.isclose(times, take.ends[0] + take.measured.step * widest).any()
 
 
 def test_names_from_a_log_cannot_end_the_script(shown: Viewing) -> None:
