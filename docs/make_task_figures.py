@@ -14,8 +14,9 @@ from PIL import Image
 
 from amhe_cli.robots.go1.run import RunOptions, open_run
 
-#: Size of one picture, the gap between two [pixels], and the shadow's resolution.
+#: Size of one picture, and the gap between two [pixels].
 WIDTH, HEIGHT, GAP = 400, 320, 6
+#: Colours of the goal and of the path.
 GREEN, BLUE = (0.1, 0.6, 0.25, 0.45), (0.2, 0.4, 0.85, 1.0)
 
 
