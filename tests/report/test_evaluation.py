@@ -129,6 +129,10 @@ def test_figures_show_every_mode_and_what_is_true(groups: Groups) -> None:
         task = panel["title"].partition(":")[0].lower()
         names = [line["name"] for line in panel["lines"]]
         assert names[:-1] == [group.mode for group in groups.of(task)] and names[-1].startswith("command")
+    for panel in sections["Paths of the box"]:
+        path, goal = panel["lines"][-2:]
+        assert (path["name"], goal["name"]) == ("path", "goal") and np.ptp(goal["x"]) > 0.05  # it is seen
+        assert np.mean([*goal["x"][:2], *goal["x"][-2:]]) == pytest.approx(path["x"][-1], abs=1e-3)
     densities = sections["Density of the running cost"][0]["lines"]
     for line in densities:
         x, y = np.array(line["x"]), np.array(line["y"])

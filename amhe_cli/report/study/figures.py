@@ -56,7 +56,7 @@ def drawn(groups: Groups, tried: Sequence[Ablation], floors: Floors) -> list[Sec
     made: list[tuple[str, str, list[Panel], int]] = [
         (
             "Paths of the box",
-            "Every seed; the dot is the goal. Distances beside the straight paths are stretched.",
+            "Every seed; the cross is the goal. Distances beside the straight paths are stretched.",
             [_paths(groups, task, floors[task]) for task in of("t1", "t2", "t3")],
             3,
         ),
@@ -201,15 +201,22 @@ def _paths(groups: Groups, task: str, floor: Floor) -> Panel:
         for group in groups.of(task)
         for r in group.results
     ]
-    lines += [
-        Curve(floor.path[:, 0], floor.path[:, 1], "path", "soft", "dashed"),
-        Curve(floor.path[-1:, 0], floor.path[-1:, 1], "goal", _TRUTH, "dots"),
-    ]
     beside = None if floor.curved else max(_BESIDE, *(float(np.abs(line.y).max()) for line in lines))
     low = None if beside is None else -beside
+    lines += [
+        Curve(floor.path[:, 0], floor.path[:, 1], "path", "soft", "dashed"),
+        _cross(floor.path[-1], float(np.ptp(floor.path, axis=0).max()), beside),
+    ]
     return Panel(
         f"{task.upper()}: y", lines, "m", "x [m]", low=low, high=beside, equal=floor.curved, height=240
     )
+
+
+def _cross(at: FloatArray, length: float, beside: float | None) -> Curve:
+    """The goal of a path so long; `beside`: half the height of axes of two scales, None: they have one."""
+    reach = 0.02 * length
+    x, y = reach * np.array([-1.0, 1.0, 1.0, -1.0, 1.0]), np.array([-1.0, 1.0, np.nan, 1.0, -1.0])
+    return Curve(at[0] + x, at[1] + (reach if beside is None else 0.1 * beside) * y, "goal", _TRUTH)
 
 
 def final(groups: Groups, task: str, floor: Floor) -> Iterator[Panel]:
