@@ -120,7 +120,7 @@ def expected(system: System, logs: Sequence[Log], *, threads: int = 1, seed: int
 
 
 def _near(problem: Problem) -> search.SearchState:
-    """A search that ends near the estimate: its first steps by half of the clips, the last by all of them."""
+    """A search that ends near the estimate: its first steps by few of the clips, the last by all of them."""
     rough = replace(problem, only=tuple(evenly(problem.clips, FEWEST // 2)))
     state = search.restart(rough, np.zeros(len(problem.system.space)))
     while problem.active.any() and not state.done and state.number < search.ROUGHLY:
