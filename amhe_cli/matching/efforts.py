@@ -75,10 +75,11 @@ class _Key:
     """A system, by the numbers that a path depends on."""
 
     def __init__(self, system: System) -> None:
-        model, self.system = system.model, system
+        model, space, self.system = system.model, system.edits.space, system
         fields = ("body_mass", "body_ipos", "body_inertia", "dof_armature", "dof_damping", "dof_frictionloss")
         numbers = b"".join(getattr(model, name).tobytes() for name in fields)
-        self._value = numbers, system.edits.fields, tuple(c.key for c in system.channels)
+        priors = tuple(space.nominal), tuple(space.prior_sd)  # of dry friction
+        self._value = numbers, priors, system.edits.fields, tuple(c.key for c in system.channels)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Key) and self._value == other._value

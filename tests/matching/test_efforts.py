@@ -113,7 +113,7 @@ def test_residuals_at_the_truth_are_the_noise(system):
         assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 0.3
         # little is compared where the joint turns over: its dry friction of 0.3 N m is not known there
         slow = np.abs(path((observed.rows[0] + 1) * DT, 1)[:, observed.channel.part]) < 0.01
-        assert (np.ravel(observed.noise)[slow] > 0.1).all()
+        assert slow.any() and (np.ravel(observed.noise)[slow] > 0.1).all()
 
 
 @pytest.mark.medium
@@ -154,6 +154,16 @@ def test_efforts_of_slow_joints_count_little_however_far_their_motion_reaches(sy
     # what is not known of a friction of 0.3 N m, beside some 0.002 N m of noise
     assert slow.any() and (found.variance[inside][slow] > 0.1**2).all()
     assert (np.median(found.variance[inside], axis=0) < 0.02**2).all() and found.known[inside].mean() > 0.8
+
+
+def test_what_is_known_of_slow_joints_follows_the_prior_of_their_friction(system):
+    """Systems of one model have paths of their own where their priors differ."""
+    wider = PARAMETERS | {"friction": PARAMETERS["friction"] | {"prior_sd": 1.0}}
+    log = recorded(system, truth(system))
+    more = path_of(system_of(parameters=wider), log).variance / path_of(system, log).variance
+    # of 0.3 N m, one sd is 0.15 or 0.3 N m: 0.45 or 0.6 N m
+    assert more[:, 0].max() == pytest.approx((0.6 / 0.45) ** 2, rel=0.01)
+    assert more[:, 1] == pytest.approx(1.0)
 
 
 def test_models_are_compared_by_their_efforts(system):
