@@ -17,6 +17,7 @@ from amhe_cli.engine.inverse import forces_along
 from amhe_cli.estimation.core.result import Missing
 from amhe_cli.estimation.explain.candidate import CauseMaker
 from amhe_cli.estimation.explain.drives import drive_causes
+from amhe_cli.estimation.explain.efforts import unexplained_efforts
 from amhe_cli.estimation.explain.explain import explain, forced
 from amhe_cli.estimation.explain.inputs import mended
 from amhe_cli.estimation.explain.joints import joint_causes
@@ -389,6 +390,21 @@ def test_what_torques_lack_is_named(
         assert found.rows[0].text.startswith("its measured torques come ")
         assert float(found.rows[0].text.split()[4]) == pytest.approx(10.0, rel=0.1)
         assert found.rows[0].text.endswith("ms later than its motion")
+
+
+def test_a_joint_that_stands_in_one_log_counts_in_the_others() -> None:
+    system = system_of()
+    both, z = recorded(system, np.array(system.space.nominal)), np.zeros(len(system.space))
+    series, moved = dict(both.series), both["joints.position"]
+    series["joints.position"] = replace(moved, values=moved.values * [1.0, 0.0])
+    alone = replace(both, series=series, source="one alone")
+
+    found = unexplained_efforts(system, [whole(both), whole(alone)], z)
+
+    assert found is not None and found.weights is not None
+    moves, stands = (found.weights[found.motion.log == i] for i in range(2))
+    assert (stands[:, 1] == 0.0).all() and (stands[:, 0] > 0.0).mean() > 0.8
+    assert np.median(moves[moves[:, 1] > 0.0, 1]) == pytest.approx(1.0)
 
 
 @pytest.mark.medium

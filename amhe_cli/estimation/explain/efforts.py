@@ -71,8 +71,8 @@ def unexplained_efforts(system: System, parts: Sequence[Window], z: FloatArray) 
     left = np.concatenate(predicted, axis=1) - np.concatenate(tau)
     residual = left[0] * counts
     slopes = (left[1:] * counts - residual) / _STEP
-    sd = np.concatenate(sds)
-    weights = counts * np.median(sd, axis=0) / sd
+    sd = np.ma.array(np.concatenate(sds), mask=counts == 0.0)
+    weights = np.ma.filled(np.ma.median(sd, axis=0) / sd, 0.0)
     motion = _motion(system, moved, times, made, dofs, every)
     needed = np.zeros_like(moved[1])
     needed[:, dofs] = np.concatenate(predicted, axis=1)[0]
@@ -95,7 +95,7 @@ def _of_part(  # type: ignore[no-untyped-def]
     along, observed = cost.clips.starts.along, cost.clips.observed
     assert along is not None, "efforts are matched"
     rows = observed[0].rows[0]
-    compared, tau, sd = np.zeros((3, rows.size, len(dofs)))
+    compared, tau, sd = np.zeros((3, rows.size, len(dofs)))  # of a joint that is not compared here: nothing
     predicted = np.zeros((len(z), rows.size, len(dofs)))
     for one, values in zip(observed, cost.predict(z).values, strict=True):
         k = dofs.index(one.channel.columns[0])
@@ -127,7 +127,8 @@ def evened(found: Unexplained, left: FloatArray) -> Unexplained:
     variance = np.ma.array(squares / np.maximum(count, 1.0), mask=count == 0.0)
     ratio = variance / np.maximum(np.ma.median(variance, axis=0), 1e-300)
     even = np.zeros_like(found.weights)
-    even[found.rows] = weights / np.sqrt(1.0 + np.ma.filled(ratio, 0.0))
+    # no instant is known better than twice the usual: a variance of so few changes may be small by chance
+    even[found.rows] = weights * np.sqrt(2.0 / (1.0 + np.ma.filled(ratio, 1.0)))
     return replace(found, weights=even)
 
 
