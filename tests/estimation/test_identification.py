@@ -392,6 +392,8 @@ def test_real_tosses_tell_friction_and_not_mass():
     assert found["friction"].lower < 0.18 < found["friction"].upper  # as published
     assert 0.15 < found["friction"].estimate < 0.23
     assert found["mass"].verdict == "prior"
-    assert found["inertia_scale"].verdict != "identified", "published as 1: the model is wrong"
+    inertia = found["inertia_scale"]
+    assert inertia.verdict in ("weak", "model-sensitive"), "published as 1: the model is wrong"
+    assert "disagree" in inertia.reasons[0].text, "its logs contradict each other"
     assert result.held_out is not None
     assert result.held_out.position_error_m < 0.010 < result.held_out.initial_position_error_m
