@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 import subprocess
@@ -186,6 +187,12 @@ def test_half_of_the_demos_log_identifies_the_box(tmp_path: Path) -> None:
     assert found["truth"] == {"box_mass": 4.0, "box_inertia_scale": 1.0, "floor_friction": 0.6}
     assert all(known[name]["lower"] < value < known[name]["upper"] for name, value in found["truth"].items())
     assert known["box_mass"]["shrinkage"] > 0.5 and known["floor_friction"]["shrinkage"] > 0.6
+    # what a push tells is friction times mass: known to 3 %, and where it is
+    product = min(found["combinations"], key=lambda one: one["sd"])
+    power = float(product["text"].removeprefix("floor_friction * box_mass^"))
+    off = {name: math.log(known[name]["estimate"] / found["truth"][name]) for name in product["names"]}
+    assert product["sd"] < 0.04 and 0.7 < power < 1.0
+    assert abs(off["floor_friction"] + power * off["box_mass"]) < 2.0 * product["sd"]
     assert found["held_out"]["cost"] < 0.3 * found["held_out"]["initial_cost"]
 
 
