@@ -144,6 +144,10 @@ def searched_for(
     if watch.cut_short or not more:
         return apart
     problem = _of_all(problem, training)
+    if not quick:
+        logger.log(
+            NOTE, "the logs are short: held-out errors are those of a fit to the rest, the values fit all"
+        )
     unsaved = Checkpoint(None, problem, options.method)
     finding = _search(problem, options.method, watch, unsaved, apart.again(problem))
     return Search(problem, finding, validation, watch, model, without=apart)

@@ -187,7 +187,7 @@ def test_half_of_the_demos_log_identifies_the_box(tmp_path: Path) -> None:
     assert found["truth"] == {"box_mass": 4.0, "box_inertia_scale": 1.0, "floor_friction": 0.6}
     assert all(known[name]["lower"] < value < known[name]["upper"] for name, value in found["truth"].items())
     assert known["box_mass"]["shrinkage"] > 0.5 and known["floor_friction"]["shrinkage"] > 0.6
-    # what a push tells is friction times mass: known to 3 %, and where it is
+    # what a push tells is friction times mass: known well, and rightly
     product = min(found["combinations"], key=lambda one: one["sd"])
     power = float(product["text"].removeprefix("floor_friction * box_mass^"))
     off = {name: math.log(known[name]["estimate"] / found["truth"][name]) for name in product["names"]}

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from amhe_cli.core.errors import ConfigError, EstimationError
+from amhe_cli.core.errors import NOTE, ConfigError, EstimationError
 from amhe_cli.core.log import Log
 from amhe_cli.core.signals import Series
 from amhe_cli.estimation.conclude import PARTS
@@ -47,7 +47,7 @@ def test_noise_free_logs_give_the_exact_answer(pendulum, swing):
 
 
 @pytest.mark.medium
-def test_of_a_short_log_the_held_out_part_judges_a_first_fit_and_then_all_is_fitted(pendulum, swing):
+def test_of_a_short_log_the_held_out_part_judges_a_first_fit_and_then_all_is_fitted(pendulum, swing, caplog):
     log = swing(2.0)
 
     def by(**clips: float):
@@ -55,7 +55,11 @@ def test_of_a_short_log_the_held_out_part_judges_a_first_fit_and_then_all_is_fit
         other = replace(pendulum, settings=pendulum.settings.model_copy(update=changed))
         return identify(other, [log], None, IdentifyOptions())
 
-    part, whole, both = by(), by(held_out=0.0), by(held_out_least=3)
+    part, whole = by(), by(held_out=0.0)
+    assert "held-out errors are those of a fit to the rest" not in caplog.text
+    with caplog.at_level(NOTE):
+        both = by(held_out_least=3)
+    assert "held-out errors are those of a fit to the rest" in caplog.text
     assert both.held_out.cost == part.held_out.cost and both.validated.estimate == pytest.approx(
         part.belief.estimate, rel=1e-12
     )

@@ -254,7 +254,8 @@ class Linearisation:
         cost: The matching cost on the clips.
         residual: Residuals at (z, first), or their mean over the samples about it, shape (c, R).
         centre: Residuals at (z, first) itself, shape (c, R).
-        gain: Slopes by the d coordinates of z and the nx of the first state, shape (c, d + nx, R).
+        gain: Slopes by the d coordinates of z and the nx of the first state, shape (c, d + nx, R); for a
+            non-smooth model freed of jitter.
         curves: Nonlinear (even) response to each of h pairs of samples, 0 for pairs that diverged, shape
             (h, c, R); numpy's or on the engine's device. None of samples to one side.
         bend: Mean square of the nonlinear response (bend), shape (c, R).
@@ -301,7 +302,8 @@ def linearise(
         straight: Take short steps to one side instead of pairs, where samples have shown that hardly anything
             bends in them: half of the rollouts, and no bend.
         sparsity: What the unknowns move, where they do not move everything.
-        jitter: Bend of narrower samples where `averaged`, shape (c, R): that of these has more than jitter.
+        jitter: What slopes are freed of where `averaged`, shape (c, R): the bend of narrower samples, which
+            is hardly more than jitter; None: the bend of these samples.
     """
     d, nx = z.size, first.mean.shape[1]
     moves = None if sparsity is None else _moved(cost, sparsity, shape, first.shape)
