@@ -22,8 +22,8 @@ def printable(text: str, keep: str = "") -> str:
 NOTE = 25
 
 
-#: Names that an error lists.
-_LISTED = 30
+#: Names that an error lists: all words of a system.yaml, but not all bodies of a large model.
+_LISTED = 60
 
 
 class AmheError(Exception):
