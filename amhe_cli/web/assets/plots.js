@@ -111,7 +111,7 @@ class Panel {
     }
     for (const { value, text } of ticks(...this.x, Math.max(2, Math.round(wide / 80)))) {
       const x = LEFT + this.place(value, this.y[0])[0];
-      texts.push(drawn("line", { x1: x, x2: x, y1: TOP, y2: TOP + high }), drawn("text", { x: Math.min(x, LEFT + wide - 4), y: TOP + high + 14, "text-anchor": "middle" }, text));
+      texts.push(drawn("line", { x1: x, x2: x, y1: TOP, y2: TOP + high }), drawn("text", { x: Math.min(x, LEFT + wide + RIGHT - 3.1 * text.length), y: TOP + high + 14, "text-anchor": "middle" }, text));
     }
     return [drawn("g", { class: "axes" }, ...texts, drawn("text", { x: LEFT + wide, y: TOP + high + 27, "text-anchor": "end" }, this.across))];
   }

@@ -122,7 +122,7 @@ def test_what_the_model_misses_says_what_to_do(pendulum, swing, caplog, steps, a
     assert "the model misses joints.position by" in caplog.text
     assert values_of(result) <= {"model-sensitive", "prior"}
     (missed, *_) = [reason for reason in result.unexplained if "times its noise" in reason]
-    assert "the commands' delay" in missed and ("noise: {" in missed) == as_noise
+    assert "the commands' delay" in missed and ("`signals.joints.noise.position=" in missed) == as_noise
 
 
 def test_worse_is_more_than_the_values_own_sd_costs() -> None:
