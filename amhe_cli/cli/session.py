@@ -166,6 +166,7 @@ class Session:
         logging.captureWarnings(False)
         logger = logging.getLogger("amhe_cli")
         logger.handlers.clear()
+        logger.setLevel(logging.NOTSET)
         logger.propagate = True
 
     def console(self, stderr: bool = False) -> PlainConsole:

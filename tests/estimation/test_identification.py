@@ -57,7 +57,7 @@ def test_of_a_short_log_the_held_out_part_judges_a_first_fit_and_then_all_is_fit
 
     part, whole = by(), by(held_out=0.0)
     assert "held-out errors are those of a fit to the rest" not in caplog.text
-    with caplog.at_level(NOTE, logger="amhe_cli"):  # a command before may have set its own level
+    with caplog.at_level(NOTE):
         both = by(held_out_least=3)
     assert "held-out errors are those of a fit to the rest" in caplog.text
     assert both.held_out.cost == part.held_out.cost and both.validated.estimate == pytest.approx(
