@@ -151,7 +151,7 @@ def audit(
         except KeyboardInterrupt:
             if search is None:
                 raise
-            search.watch.interrupted = True  # what the search before this one found is told
+            search.watch.interrupted = True  # what the search before this one found is reported
         except EstimationError:
             if length is None:
                 raise
@@ -210,7 +210,7 @@ def _without_suspects(
                 aside |= new - {max(new, key=lambda name: sets[wrong | {name}])}
             else:
                 refused, aside = refused | new, frozenset()
-    except KeyboardInterrupt:  # what was found so far is told
+    except KeyboardInterrupt:  # what was found so far is reported
         search.watch.interrupted = True
     return search, wrong
 

@@ -126,9 +126,9 @@ def check_page(
         rows = ((one.where, one.what, one.cure) for one in found)
         sections.append(Section("What no robot has", text=text, table=_table(rows)))
     if hope is not None:
-        told = sum(p.verdict in ("identified", "conditional") for p in hope.lines)
-        good = "good" if told == len(hope.lines) else "mixed"
-        tell = f"These logs will tell {told} of {len(hope.lines)} parameters."
+        determined = sum(p.verdict in ("identified", "conditional") for p in hope.lines)
+        good = "good" if determined == len(hope.lines) else "mixed"
+        tell = f"These logs will tell {determined} of {len(hope.lines)} parameters."
         statements.append(Statement(good, tell))
         sections += [Section("Where the motion is", table=_motion_table(moved))] if moved else []
         sections += [
