@@ -1,14 +1,14 @@
 """Tasks on Go1s that the planner does not know, as they come and after `amhe identify --unknowns robot`.
 
-    python benchmarks/transfer.py --workers 16 --tasks t1,t2,t4 --seeds 2 > found.txt
-    python benchmarks/transfer.py --done found.txt --tasks hw1,hw2 > more.txt
+    python benchmarks/transfer.py --workers 16 --seeds 5 > found.txt
+    python benchmarks/transfer.py --done found.txt --workers 0    # the tables of what there is
 
 For each plant free walking is recorded and the robot identified; then each task runs, without and with that
 robot. `--strangers N` adds robots that are drawn at random, with several differences at once, some of them
 no unknowns (feet that sink, heavier legs, soles): `s0`, `s1`, ... `--try JSON` repeats all runs under other
 settings, such as '{"control": {"samples": 5}}'.
 Each result is a line of JSON on the standard output, so that a run that was cut can go on from what it
-printed; a table follows them.
+printed; seeds come one after the other, so that it has the first ones whole. Tables follow.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import time
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import suppress
 from itertools import product
 from pathlib import Path
@@ -31,7 +32,6 @@ import numpy as np
 from amhe_cli.api.identify import identify
 from amhe_cli.core.belief import held_by
 from amhe_cli.core.errors import AmheError, Ending
-from amhe_cli.core.statistics import Z90
 from amhe_cli.core.yaml_file import merged
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.estimation.design.probe import ProbeOptions
@@ -96,34 +96,36 @@ def truth_of(shape: PlantShape) -> dict[str, float]:
 def main() -> None:
     """Run what is missing, then print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--plants", default=",".join(p for p in PLANTS if p[1:].isalpha()))
+    parser.add_argument("--plants", default=",".join(p for p in PLANTS if p[1:].isalpha() and p != "ours"))
     parser.add_argument("--strangers", default="0", help="how many, or from A to below B: A:B")
-    parser.add_argument("--tasks", default="t1,t2,t4", help="'' for none")
+    parser.add_argument("--tasks", default="t1,t2,t3,t4,hw1,hw2", help="'' for none")
     parser.add_argument(
-        "--modes", default="true-weighed,adaptive-weighed,adaptive-unknown", help="each with what is known"
-    )
-    parser.add_argument("--seeds", type=int, default=2)
+        "--modes", default="adaptive-weighed,true-weighed,adaptive-unknown,baseline-weighed",
+        help="each with what is known of the robot: unknown, walk or weighed",
+    )  # fmt: skip
+    parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--try", dest="tried", action="append", default=[], metavar="JSON")
-    parser.add_argument("--workers", type=int, default=os.cpu_count())
+    parser.add_argument("--workers", type=int, default=os.cpu_count(), help="0: print what there is")
     parser.add_argument("--done", type=Path, nargs="*", default=[], help="what earlier runs printed")
     given = parser.parse_args()
     first, _, last = given.strangers.rpartition(":")
-    strangers = [f"s{number}" for number in range(int(first or 0), int(last))]
     plants, tasks, modes = (
         [word for word in text.split(",") if word] for text in (given.plants, given.tasks, given.modes)
     )
+    plants += [f"s{number}" for number in range(int(first or 0), int(last))]
     done = list(read(given.done))
-    for record in done:
-        print(json.dumps(record))
     cells: list[Cell] = [  # a run that is cut has a seed of everything first
         (plant, task, *mode.split("-"), seed, tried)
         for seed, tried, mode, task, plant in product(
-            range(given.seeds), ["", *given.tried], modes, tasks, [*plants, *strangers]
+            range(given.seeds), ["", *given.tried], modes, tasks, plants
         )
     ]
-    for record in made(done, [*plants, *strangers], cells, given.workers):
-        print(json.dumps(record), flush=True)
-        done.append(record)
+    if given.workers:
+        for record in done:
+            print(json.dumps(record))
+        for record in made(done, plants, cells, given.workers):
+            print(json.dumps(record), flush=True)
+            done.append(record)
     show_robots([record for record in done if "robot" in record])
     show_runs([record for record in done if "cell" in record])
 
@@ -139,23 +141,29 @@ def read(files: list[Path]) -> Iterator[dict[str, Any]]:
 def made(
     done: list[dict[str, Any]], plants: list[str], cells: list[Cell], workers: int
 ) -> Iterator[dict[str, Any]]:
-    """What is missing of robots and runs; runs with a robot begin when it is known."""
-    robots = {record["robot"]: record["held"] for record in done if "held" in record}
-    cells = [cell for cell in cells if list(cell) not in [record.get("cell") for record in done]]
+    """What is missing of robots and runs: always the first that is ready, a run once its robot is known."""
+    robots = {record["robot"]: record.get("held") for record in done if "robot" in record}
+    ran = [record.get("cell") for record in done]
+    unknown = [plant for plant in plants if plant not in robots]
+    waiting = [cell for cell in cells if list(cell) not in ran]
+    running: set[Future[dict[str, Any]]] = set()
     with ProcessPoolExecutor(workers) as pool:
-        running = {pool.submit(robot_of, plant) for plant in plants if plant not in robots}
-        running |= {
-            pool.submit(run_cell, c, robots.get(c[0])) for c in cells if c[3] == "unknown" or c[0] in robots
-        }
-        waiting = [cell for cell in cells if cell[3] != "unknown" and cell[0] not in robots]
-        while running:
-            ended = next(as_completed(running))
-            running.remove(ended)
-            record = ended.result()
-            yield record
-            if "held" in record:
-                mine = [cell for cell in waiting if cell[0] == record["robot"]]
-                running |= {pool.submit(run_cell, cell, record["held"]) for cell in mine}
+        while True:
+            while len(running) < workers and unknown:
+                running.add(pool.submit(robot_of, unknown.pop(0)))
+            while len(running) < workers and (
+                ready := next((c for c in waiting if c[3] == "unknown" or robots.get(c[0])), None)
+            ):
+                waiting.remove(ready)
+                running.add(pool.submit(run_cell, ready, robots.get(ready[0])))
+            if not running:
+                return
+            ended, running = wait(running, return_when=FIRST_COMPLETED)
+            for one in ended:
+                record = one.result()
+                if "robot" in record:
+                    robots[record["robot"]] = record.get("held")
+                yield record
 
 
 def robot_of(plant: str) -> dict[str, Any]:
@@ -195,9 +203,10 @@ def robot_of(plant: str) -> dict[str, Any]:
 def run_cell(cell: Cell, robot: dict[str, Any] | None) -> dict[str, Any]:
     """Run a task once, with what is known of the robot."""
     hush_mujoco()
+    begun = time.process_time()
     plant, task, mode, known, seed, tried = cell
     settings: dict[str, Any] = {"parameters": robot[known]} if robot and known != "unknown" else {}
-    if PLANTS[plant].box != PLANTS["ours"].box:  # only there: two unknowns more are dearer
+    if known != "unknown" and PLANTS[plant].box != PLANTS["ours"].box:  # only there: it is dearer
         settings["unknowns"] = ["box", "box_size"]
     settings = merged(settings, json.loads(tried or "{}"))
     run = open_run(RunOptions(task, mode, seed=seed, plant=plant, settings=settings))
@@ -208,50 +217,48 @@ def run_cell(cell: Cell, robot: dict[str, Any] | None) -> dict[str, Any]:
     except AmheError as error:
         ending = Ending(error=error)
     record = run_record(run.judge.measures(), history, ending)
-    kept = (
-        "success",
-        "on_time",
-        "fell",
-        "time_s",
-        "goal_error_m",
-        "speed_rmse",
-        "cost",
-        "belief",
-        "truth",
-        "error",
-    )
-    inside = _inside(history)
+    kept = ("success", "on_time", "fell", "time_s", "goal_error_m", "speed_rmse", "cost", "error")
     return {
         "cell": cell,
-        **{key: record[key] for key in kept},
-        "miss": history.miss,
-        "inside": inside,
-        "push_error": _push_error(history),
+        **{key: _short(record[key]) for key in kept},
+        **_learnt(history),
+        "miss": _short(history.miss),
+        "warned": any("identify the robot first" in trouble for trouble in history.troubles),
+        "cpu_s": round(time.process_time() - begun, 1),
     }
 
 
-def _push_error(history: History) -> float:
-    """Rms relative error of mu m from 3 s on, but in the 1.5 s after a change."""
+def _short(value: Any) -> Any:
+    return float(f"{value:.4g}") if isinstance(value, float) else value
+
+
+def _learnt(history: History) -> dict[str, Any]:
+    """Relative errors of the belief at the end and of mu m over time; if 90 % intervals hold the truth.
+
+    Over time: from 3 s on, but not in the 1.5 s after a change; rms, and shares of the time.
+    """
     true, found = (
-        history.column(f"{of}/box_mass") * history.column(f"{of}/floor_friction")
+        {name: history.column(f"{of}/{name}") for name in ("box_mass", "floor_friction")}
         for of in ("truth", "belief")
     )
+    for one in (true, found):
+        one["push"] = one["box_mass"] * one["floor_friction"]
     times = history.column("time")
-    changed = [time for time, one, next in zip(times[1:], true, true[1:], strict=False) if one != next]
+    changed = times[1:][np.diff(true["push"]) != 0.0]
     counts = (times > 3.0) & ~np.any([(times >= t) & (times < t + 1.5) for t in (-9.0, *changed)], axis=0)
-    return float(np.sqrt(np.mean((found[counts] / true[counts] - 1.0) ** 2)))
-
-
-def _inside(history: History) -> dict[str, bool]:
-    """Whether the last 90 % interval of each parameter holds the truth; {} without an estimate."""
-    if not history.estimates:
-        return {}
-    belief = history.estimates[-1].belief
-    sd = np.sqrt(np.diag(belief.covariance))
-    rows = zip(belief.names, belief.log, belief.estimate, sd, strict=True)
-    shown = ((name, (np.log if log else float), value, one) for name, log, value, one in rows)
+    off = {name: found[name] / true[name] - 1.0 for name in true}
+    inside = {
+        name: (history.column(f"lower/{name}") <= true[name])
+        & (true[name] <= history.column(f"upper/{name}"))
+        for name in ("box_mass", "floor_friction")
+    }
     return {
-        name: bool(abs(of(history.truth[name]) - of(value)) <= Z90 * one) for name, of, value, one in shown
+        "off": {name: _short(float(error[-1])) for name, error in off.items()},
+        "push_rms": _short(float(np.sqrt(np.mean(off["push"][counts] ** 2)))) if counts.any() else None,
+        "inside": {name: bool(held[-1]) for name, held in inside.items()} if history.estimates else {},
+        "held": {name: _short(float(held[counts].mean())) for name, held in inside.items()}
+        if history.estimates and counts.any()
+        else {},
     }
 
 
@@ -273,36 +280,39 @@ def show_robots(robots: list[dict[str, Any]]) -> None:
 
 
 def show_runs(runs: list[dict[str, Any]]) -> None:
-    """One line for each plant, mode and state of knowledge, over tasks and seeds."""
+    """A line of Markdown for each plant, mode and state of knowledge, over tasks and seeds."""
     print(
-        "plant robot mode | runs goal on_time fell | rmse m/s, J, error of mu m % (rms over time; at end, "
-        "mean), m and mu inside, joints off by (sd)"
+        "| mode, robot | plant | runs | S_R | S_T | falls | J | RMSE m/s | mu m, rms % | at the end, mean % "
+        "| inside at the end | over time % | warned | joints off by, sd |\n" + 14 * "|---" + "|"
     )
-    groups = {(r["cell"][0], *r["cell"][2:4], *r["cell"][5:]) for r in runs}
-    for group in (*sorted(groups), *sorted({("all", *rest) for _, *rest in groups})):
-        plant, *rest = group
-        some = [
-            r for r in runs if [*r["cell"][2:4], *r["cell"][5:]] == rest and plant in ("all", r["cell"][0])
-        ]
-        mode, known, *tried = rest
-        print(plant, known, mode, *tried, "|", *_line(some))
+    groups = list(dict.fromkeys((*r["cell"][2:4], r["cell"][5]) for r in runs))
+    for group in groups:
+        mine = [r for r in runs if (*r["cell"][2:4], r["cell"][5]) == group]
+        for plant in (*dict.fromkeys(r["cell"][0] for r in mine), "all"):
+            some = [r for r in mine if plant in ("all", r["cell"][0])]
+            print("| " + " | ".join([", ".join(filter(None, group)), plant, *_line(some)]) + " |")
 
 
 def _line(some: list[dict[str, Any]]) -> Iterator[str]:
-    yield f"{len(some)} {sum(r['success'] for r in some)} {sum(r['on_time'] for r in some)}"
-    yield f"{sum(r['fell'] for r in some)} |"
-    yield f"{np.mean([r['speed_rmse'] for r in some if r['speed_rmse'] is not None]):.4f}"
-    yield f"{np.mean([r['cost'] for r in some]):.0f}"
-    products = [
-        r[of]["box_mass"] * r[of]["floor_friction"] for r in some if r["truth"] for of in ("belief", "truth")
-    ]
-    errors = np.array(products[::2]) / np.array(products[1::2]) - 1.0
-    lasting = [r["push_error"] for r in some if np.isfinite(r.get("push_error", np.nan))]
-    yield f"{100.0 * float(np.sqrt(np.square(lasting).mean())) if lasting else np.nan:.1f}"
-    yield f"({100.0 * float(np.sqrt((errors**2).mean())):.1f}, {100.0 * float(errors.mean()):+.1f})"
-    inside = [r["inside"][name] for r in some if r["inside"] for name in ("box_mass", "floor_friction")]
-    yield f"{sum(inside)} of {len(inside)}" if inside else "-"
-    yield f"{np.nanmean([r['miss'] for r in some]):.1f}"
+    def mean(values: list[Any], digits: int) -> str:
+        numbers = [value for value in values if value is not None]
+        return f"{np.mean(numbers):.{digits}f}" if numbers else "-"
+
+    yield str(len(some))
+    yield from (str(sum(r[key] for r in some)) for key in ("success", "on_time", "fell"))
+    yield mean([r["cost"] for r in some], 0)
+    yield mean([r["speed_rmse"] for r in some], 4)
+    learnt = [r for r in some if r["held"]]
+    if learnt:
+        yield f"{100.0 * float(np.sqrt(np.mean([r['push_rms'] ** 2 for r in learnt]))):.1f}"
+        yield f"{100.0 * float(np.mean([r['off']['push'] for r in learnt])):+.1f}"
+        inside = [one for r in learnt for one in r["inside"].values()]
+        yield f"{sum(inside)} of {len(inside)}"
+        yield mean([100.0 * one for r in learnt for one in r["held"].values()], 0)
+    else:
+        yield from 4 * "-"
+    yield str(sum(r["warned"] for r in some))
+    yield mean([r["miss"] for r in some], 1)
 
 
 if __name__ == "__main__":
