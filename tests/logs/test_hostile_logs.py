@@ -210,12 +210,23 @@ def cdr_log(path: Path, definition: str, payloads: list[bytes], channels: int = 
     return path
 
 
+LEVELS = "".join(f"\n{'=' * 80}\nMSG: a/L{i}\nL{i + 1}[100] x\n" for i in range(5))
+
+
 @pytest.mark.medium
-def test_definitions_that_multiply_without_using_a_byte(tmp_path: Path) -> None:
-    levels = "".join(f"\n{'=' * 80}\nMSG: a/L{i}\nL{i + 1}[100] x\n" for i in range(5))
-    definition = f"L0[100] x\n{levels}{'=' * 80}\nMSG: a/L5\nfloat64[0] s\n"
+@pytest.mark.parametrize(
+    "definition", [f"L0[100] x\n{LEVELS}{'=' * 80}\nMSG: a/L5\nfloat64[0] s\n", "B next\n"]
+)
+def test_definitions_that_multiply_without_using_a_byte(definition: str, tmp_path: Path) -> None:
     found = survey(cdr_log(tmp_path / "log", definition, [bytes(200 + i) for i in range(300)]))
-    assert "its definition has no end" in damage(found)
+    assert "its definition has no end" in damage(found) + (found.topics[0].problem or "")
+
+
+def test_a_database_that_unfolds(tmp_path: Path) -> None:
+    path = tmp_path / "a.db3.zstd"
+    path.write_bytes(zeros("zstd", 64))
+    with limit(piece_mib=1, growth=10):
+        assert "beyond the limit growth = 10" in refused(path)
 
 
 def test_messages_that_all_differ(tmp_path: Path) -> None:

@@ -16,17 +16,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-import zstandard
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Nodetype
 
 from amhe_cli.core.errors import ConfigError, LogError
-from amhe_cli.core.limits import limit
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs import LogWriter, read_metadata, read_signals, survey
-from amhe_cli.logs.containers import raw
 from amhe_cli.logs.containers.raw import Connection, batch_of
 from amhe_cli.logs.messages.definitions import Definitions
 from amhe_cli.logs.messages.layout import MalformedMessageError, walk
@@ -208,38 +205,6 @@ def test_an_active_bag_is_read_and_reindexing_named(tmp_path: Path, caplog: pyte
     trajectory = read(path)
     assert trajectory.steps == N and not any(wrong_samples(trajectory).values())
     assert "rosbag reindex" in caplog.text
-
-
-# -- hostile files ----------------------------------------------------------------------------------------
-
-
-def test_bombs_do_not_unfold(tmp_path: Path) -> None:
-    bomb = zstandard.compress(bytes(2**26))
-    assert len(bomb) < 2**14
-    with pytest.raises(ValueError, match="bytes"):
-        raw.Unfolder(0).unfold("zstd", bomb, 1000)
-    with pytest.raises(ValueError, match="beyond the limit piece_mib = 256"):
-        raw.Unfolder(0).unfold("zstd", bomb, 2**40)
-    with limit(piece_mib=1, growth=10):
-        with pytest.raises(ValueError, match="at most 1048576"):
-            raw.Unfolder(0).unfold("zstd", bomb)
-        packed = tmp_path / "a.db3.zstd"
-        packed.write_bytes(zstandard.compress(bytes(2**26)))
-        with pytest.raises(LogError, match="beyond the limit growth = 10"):
-            read(packed)
-
-
-def test_a_definition_that_contains_itself(tmp_path: Path) -> None:
-    path = tmp_path / "a"
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        schema = writer.register_schema("x/msg/Loop", "ros2msg", b"Loop next\n")
-        writer.add_message(writer.register_channel("/l", "cdr", schema), T0, bytes(100), T0)
-        writer.finish()
-    with pytest.raises(LogError):
-        read_signals(path, [Signal("l", "/l", ("value",), fields={"value": ("next",)})], DT, SETTINGS)
-    survey(path)
 
 
 # -- survey -----------------------------------------------------------------------------------------------

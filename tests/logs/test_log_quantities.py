@@ -152,27 +152,31 @@ def test_sensors_and_numbers(zoo: Path) -> None:
         assert trajectory[key].valid.all()
 
 
-@pytest.mark.parametrize(
-    "kind", ["mcap", "db3", "bag", "folder_mcap", "file_zstd", "message_zstd", "mcap_message"]
-)
-def test_the_same_motion_from_every_container(kind: str, tmp_path: Path) -> None:
-    store = ROS1 if kind == "bag" else ROS2
-    messages = motion(store, N)
-    path = {
-        "mcap": lambda: write_mcap(tmp_path / "a", messages),
-        "db3": lambda: next(write_rosbag2(tmp_path / "a", messages).glob("*.db3")),
-        "bag": lambda: write_bag(tmp_path / "a.bag", messages),
-        "folder_mcap": lambda: write_rosbag2(tmp_path / "a", messages, "mcap"),
-        "file_zstd": lambda: write_rosbag2(tmp_path / "a", messages, "sqlite3", "file"),
-        "message_zstd": lambda: write_rosbag2(tmp_path / "a", messages, "sqlite3", "message"),
-        "mcap_message": lambda: write_rosbag2(tmp_path / "a", messages, "mcap", "message"),
-    }[kind]()
+CONTAINERS: dict[str, Callable[[Path, list[Message]], Path]] = {
+    "mcap": lambda at, messages: write_mcap(at / "a", messages),
+    "db3": lambda at, messages: next(write_rosbag2(at / "a", messages).glob("*.db3")),
+    "bag": lambda at, messages: write_bag(at / "a.bag", messages),
+    "bag_lz4": lambda at, messages: write_bag(at / "a.bag", messages, "lz4"),
+    "bag_bz2": lambda at, messages: write_bag(at / "a.bag", messages, "bz2"),
+    "folder_mcap": lambda at, messages: write_rosbag2(at / "a", messages, "mcap"),
+    "file_zstd": lambda at, messages: write_rosbag2(at / "a", messages, "sqlite3", "file"),
+    "message_zstd": lambda at, messages: write_rosbag2(at / "a", messages, "sqlite3", "message"),
+    "mcap_message": lambda at, messages: write_rosbag2(at / "a", messages, "mcap", "message"),
+}
+
+
+@pytest.mark.parametrize("kind", CONTAINERS)
+def test_the_same_motion_from_every_container(
+    kind: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = CONTAINERS[kind](tmp_path, motion(ROS1 if kind.startswith("bag") else ROS2, N))
     trajectory = read(path, *SIGNALS)
     assert trajectory.steps == N and trajectory.start_ns == T0 and trajectory.source == str(path)
     for key, values in truth(np.arange(N) * DT).items():
         np.testing.assert_allclose(trajectory[key].values, values, atol=1e-12, err_msg=key)
         assert trajectory[key].sampled.all()
     assert trajectory["joints.position"].columns == JOINTS
+    assert not caplog.records
 
 
 def test_joints_are_taken_by_name_whatever_their_order(tmp_path: Path) -> None:
