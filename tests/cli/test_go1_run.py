@@ -111,19 +111,16 @@ def test_a_box_that_was_measured_is_emulated_and_expected(capsys) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("hot", "ran"), [(4, True), (0.1, False)])
-def test_a_fault_damps_fails_and_keeps_a_readable_log(hot: float, ran: bool, capsys) -> None:
-    """In the run, and before it."""
+def test_a_fault_before_the_run_damps_fails_and_keeps_a_readable_log(capsys) -> None:
+    """Faults in the run are below."""
     pytest.importorskip("natnet")
-    with emulating("--set", "go1.slow=2", "--fault", f"hot={hot}") as emulated:
+    with emulating("--set", "go1.slow=2", "--fault", "hot=0.1") as emulated:
         assert run([*at(emulated), "-o", "out"]) == 1
     assert capsys.readouterr().err.count("deg C hot") == 1
     record = json.loads(Path("out/result.json").read_text())
-    assert record["link"]["trip"] == "temperature"
+    assert (record["link"]["trip"], record["cycles"]) == ("temperature", 0)
     assert not survey(Path("out/log.mcap")).problems
-    if not ran:
-        assert record["cycles"] == 0
-        assert Path("out/report.html").exists()
+    assert Path("out/report.html").exists()
 
 
 KEY = SenderReport(Phase.DAMP, "order", "key")
@@ -368,8 +365,8 @@ def relay(to: int, forge: Forge) -> Iterator[int]:
             yield end.getsockname()[1]
 
 
-def held(body: str, noise: float, slide: float) -> Forge:
-    """Shows a body where it was when it had begun to push, or sliding aside [m/s]; its times go on."""
+def held(body: str, noise: float) -> Forge:
+    """Shows a body where it was when it had begun to push; its times go on."""
     kept: list[dict[str, Any]] = []
     chance = random.Random(0)
 
@@ -377,8 +374,7 @@ def held(body: str, noise: float, slide: float) -> Forge:
         if number < _PUSHING or pose["body"] != body:
             return [pose]
         kept.append(kept[0] if kept else pose)
-        x, y, z = (x + chance.gauss(0.0, noise) for x in kept[0]["position"])
-        place = [x, y + slide * (pose["time"] - kept[0]["time"]), z]
+        place = [x + chance.gauss(0.0, noise) for x in kept[0]["position"]]
         return [kept[0] | {"time": pose["time"], "position": place}]
 
     return forge
@@ -402,22 +398,18 @@ def walked(tmp_path: Path, forge: Forge, seconds: float) -> tuple[int, str, dict
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("body", "noise", "slide", "latest", "message"),
-    [
-        ("go1", 1e-6, 0.0, 0.5, FROZEN),
-        ("go1", 1e-6, 0.3, 0.5, "cameras and legs contradict each other"),
-        ("box", 0.0, 0.0, 1.0, "cm inside the box"),
-    ],
+    ("body", "noise", "latest", "message"),
+    [("go1", 1e-6, 0.5, FROZEN), ("box", 0.0, 1.0, "cm inside the box")],
 )
-def test_a_pose_that_freezes_or_slides_damps_the_motors(
-    tmp_path: Path, body: str, noise: float, slide: float, latest: float, message: str
+def test_a_pose_that_freezes_damps_the_motors(
+    tmp_path: Path, body: str, noise: float, latest: float, message: str
 ) -> None:
-    """It stays, equal to the last bit or with 1 um of noise, or slides aside, and its times go on.
+    """It stays, equal to the last bit or with 1 um of noise, and its times go on; one that slides: witness.
 
     Single ones before that cannot be true, or are not numbers, change nothing.
     """
     wrong = {5: {"position": [1e300, 0.0, 0.0]}, 20: {"time": 1e9}, 35: {"position": [float("nan")] * 3}}
-    hold = held(body, noise, slide)
+    hold = held(body, noise)
 
     def forge(number: int, pose: dict[str, Any]) -> list[dict[str, Any]]:
         more = [pose | wrong.pop(number)] if pose["body"] == "box" and number in wrong else []
@@ -430,7 +422,6 @@ def test_a_pose_that_freezes_or_slides_damps_the_motors(
     assert re.search(message, printed), printed
     log = read_log(tmp_path / "out/log.mcap", System.load("go1_push"))
     seen = log.series["trunk.position" if body == "go1" else "box.position"]
-    ahead = seen.values[seen.valid, 0]  # it slides aside
+    ahead = seen.values[seen.valid, 0]
     stays = log.dt * (np.abs(ahead - ahead[-1]) < 1e-3).sum()
-    print("noticed after", stays)
     assert 0.05 < stays < latest

@@ -173,12 +173,13 @@ def test_a_full_disk_is_no_fault_of_the_log(
     assert error.value.errno == errno.ENOSPC
 
 
-JOINTS = Signal("joints", "/joints", ("position", "velocity"), names=("hip", "knee"))
+JOINTS = Signal("joints", "/joints", ("position", "velocity", "effort"), names=("hip", "knee"))
 BODY = Signal("body", "/body", ("position", "orientation", "linear_velocity", "angular_velocity"))
 PLACE = Signal("place", "/place", ("position", "orientation"), type="geometry_msgs/msg/PoseStamped")
 IMU = Signal("imu", "/imu", ("angular_velocity", "linear_acceleration"), type="sensor_msgs/msg/Imu")
+FORCE = Signal("force", "/ft", ("force", "torque"))
 VOLTS = Signal("volts", "/volts", ("value",), is_input=True)
-ALL = (JOINTS, BODY, PLACE, IMU, VOLTS)
+ALL = (JOINTS, BODY, PLACE, IMU, FORCE, VOLTS)
 WIDTHS = {"joints": 2, "volts": 3}
 
 

@@ -185,37 +185,6 @@ def test_every_format_gives_the_same_samples(kind: str, tmp_path: Path, in_mcap:
     same(read_log(FORMATS[kind](tmp_path), SYSTEM), in_mcap)
 
 
-def test_a_lerobot_dataset_gives_them_in_single_precision(tmp_path: Path) -> None:
-    rows = np.isfinite(MERGED["command.position.hinge"])  # a frame holds state and action
-    state, action = (MERGED[key][rows] for key in ("joints.position.hinge", "command.position.hinge"))
-    numbers = {"dtype": "float32", "shape": [1], "names": ["hinge"]}
-    features = {"observation.state": numbers, "action": numbers, "timestamp": {"dtype": "float32"}}
-    info = {
-        "codebase_version": "v2.1", "total_episodes": 1, "fps": 50, "features": features,
-        "data_path": "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet",
-    }  # fmt: skip
-    (tmp_path / "meta").mkdir()
-    (tmp_path / "meta" / "info.json").write_text(json.dumps(info))
-    (tmp_path / "data" / "chunk-000").mkdir(parents=True)
-    lists = pa.list_(pa.float32(), 1)
-    table = {
-        "observation.state": pa.array(list(state.astype(np.float32)[:, None]), lists),
-        "action": pa.array(list(action.astype(np.float32)[:, None]), lists),
-        "timestamp": TIMES["joint_states"][rows].astype(np.float32),
-    }
-    pyarrow.parquet.write_table(pa.table(table), tmp_path / "data" / "chunk-000" / "episode_000000.parquet")
-    joints = {
-        "columns": {"position": "observation.state.hinge"},
-        "joints": ["hinge"],
-        "noise": {"position": 0.01},
-    }
-    command = {"columns": {"position": "action.hinge"}, "actuators": ["servo"]}
-    system = amhe.System.load("pendulum", {"signals": {"joints": joints, "command": command}})
-    found = sampled(amhe.read_log(f"{tmp_path}#0", system))
-    np.testing.assert_allclose(found["joints.position"][1][:, 0], state, rtol=1e-6, atol=1e-6)
-    np.testing.assert_allclose(found["command.position"][1][:, 0], action, rtol=1e-6, atol=1e-6)
-
-
 @pytest.mark.parametrize("form", ["log.csv", "log.npz", "log"])
 @pytest.mark.parametrize("by", ["everything", "the system's signals"])
 @pytest.mark.parametrize("kind", ["protobuf", "csv"])

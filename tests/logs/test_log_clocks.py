@@ -12,13 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from amhe_cli.core import rotations
-from amhe_cli.core.arrays import BoolArray, IntArray
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.resample import angular_velocity, derivative, resample
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs import read_signals, survey
-from amhe_cli.logs.clocks import _longest_run, increasing, timeline
+from amhe_cli.logs.clocks import increasing, timeline
 from amhe_cli.logs.messages.decode import SignalSamples
 from tests.logs.log_makers import DT, JS, ROS2, SETTINGS, T0, Message, joint_state, write_mcap
 
@@ -332,20 +331,6 @@ def test_too_few_samples_have_no_velocity() -> None:
     assert np.isnan(derivative(np.array([0.0, 0.1]), np.ones((2, 1)), 1.0)).all()
     lonely = derivative(np.array([0.0, 5.0, 5.1, 5.2, 9.0]), np.zeros((5, 1)), 1.0)
     np.testing.assert_array_equal(np.isnan(lonely[:, 0]), [True, False, False, False, True])
-
-
-def test_one_stamp_out_of_order_is_looked_for_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    looked: list[int] = []
-
-    def counted(stamps: IntArray) -> BoolArray:
-        looked.append(len(stamps))
-        return _longest_run(stamps)
-
-    monkeypatch.setattr("amhe_cli.logs.clocks._longest_run", counted)
-    stamps = np.arange(1000) * 10
-    stamps[500] += 25
-    assert not increasing(stamps)[500] and increasing(stamps).sum() == 999
-    assert max(looked) < 5
 
 
 def test_the_clock_that_is_off_is_the_one_that_is_named() -> None:

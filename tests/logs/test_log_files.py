@@ -240,56 +240,27 @@ def test_survey_of_odd_topics(tmp_path: Path) -> None:
 
 
 def write_one(path: Path, fail: bool = False) -> None:
-    with LogWriter(path, {"system": "pendulum", "truth": json.dumps({"mass": 1.0})}) as log:
-        half = np.sqrt(0.5)
+    with LogWriter(path, {"system": "pendulum"}) as log:
         for i in range(20):
             stamp = T0 + i * 10_000_000
-            log.joint_state("/js", stamp, ("a", "b"), (1.0, 2.0), effort=(3.0, 4.0))
-            log.odometry("/odom", stamp, (1, 2, 3), (half, 0, 0, half), (1, 0, 0), (0, 0, 5))
-            log.pose("/pose", stamp, (1, 2, 3), (half, 0, 0, half))
-            log.transform("/tf", stamp, {"box": ((1, 2, 3), (half, 0, 0, half))})
-            log.imu("/imu", stamp, None, (1, 2, 3), (0, 0, 9.81))
-            log.wrench("/ft", stamp, (1, 2, 3), (4, 5, 6))
-            log.numbers("/u", stamp, (7.0, 8.0))
+            log.odometry("/odom", stamp, (1, 2, 3), (np.sqrt(0.5), 0, 0, np.sqrt(0.5)), (1, 0, 0), (0, 0, 5))
+            log.transform("/tf", stamp, {"box": ((1, 2, 3), (1, 0, 0, 0))})
             if fail and i == 10:
                 raise RuntimeError("a fault of the run")
         log.attach("config.yaml", "application/yaml", b"a: 1\n")
 
 
-def test_what_is_written_is_read_back(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
-    write_one(path)
-    signals = [
-        Signal("j", "/js", ("position", "effort"), names=("b", "a")),
-        Signal("o", "/odom", ("position", "orientation", "linear_velocity", "angular_velocity")),
-        Signal("p", "/pose", ("position", "orientation")),
-        Signal("t", "/tf", ("position",), child_frame="box"),
-        Signal("i", "/imu", ("angular_velocity", "linear_acceleration")),
-        Signal("f", "/ft", ("force", "torque")),
-        Signal("u", "/u", ("value",), is_input=True),
-    ]
-    trajectory = read_signals(path, signals, DT, SETTINGS)
-    half = np.sqrt(0.5)
-    expected = {
-        "j.position": (2, 1),
-        "j.effort": (4, 3),
-        "o.linear_velocity": (1, 0, 0),
-        "o.angular_velocity": (0, 0, 5),
-        "p.orientation": (half, 0, 0, half),
-        "t.position": (1, 2, 3),
-        "i.linear_acceleration": (0, 0, 9.81),
-        "f.torque": (4, 5, 6),
-        "u.value": (7, 8),
-    }
-    for key, row in expected.items():
-        np.testing.assert_allclose(trajectory[key].values, np.tile(row, (20, 1)), atol=1e-12, err_msg=key)
-    assert json.loads(trajectory.metadata["truth"]) == {"mass": 1.0}
-    assert list(tmp_path.iterdir()) == [path]
-
-
 def test_other_tools_read_it(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     write_one(path)
+    signals = [
+        Signal("o", "/odom", ("linear_velocity",)),
+        Signal("t", "/tf", ("position",), child_frame="box"),
+    ]
+    ours = read_signals(path, signals, DT, SETTINGS)
+    assert ours["o.linear_velocity"].values[0] == pytest.approx((1, 0, 0))
+    assert ours["t.position"].values[0].tolist() == [1, 2, 3]
+    assert list(tmp_path.iterdir()) == [path]
     with AnyReader([path]) as reader:
         odometry = next(c for c in reader.connections if c.topic == "/odom")
         message: Any = reader.deserialize(next(reader.messages([odometry]))[2], odometry.msgtype)

@@ -70,16 +70,6 @@ def said(arrays: dict, arm: amhe.System, caplog: pytest.LogCaptureFixture) -> st
     return caplog.text
 
 
-def test_degrees_of_positions_and_velocities_are_found_by_range(
-    arm: amhe.System, caplog: pytest.LogCaptureFixture
-) -> None:
-    arrays = motion()
-    for quantity in ("position", "velocity"):
-        arrays["joints"][quantity] = np.rad2deg(arrays["joints"][quantity])
-    text = said(arrays, arm, caplog)
-    assert "looks like degrees (shoulder" in text and "; unit: deg in system.yaml" in text
-
-
 @pytest.mark.parametrize("velocity", [True, False])
 def test_what_is_right_is_not_doubted(
     velocity: bool, arm: amhe.System, caplog: pytest.LogCaptureFixture
@@ -97,15 +87,22 @@ def test_what_is_right_is_not_doubted(
             "'joints': the position looks like degrees (shoulder, elbow); unit",
         ),
         ("joints", "velocity", 180.0 / np.pi, "'joints': the velocity looks like degrees per second (should"),
+        (
+            "joints",
+            ("position", "velocity"),
+            180.0 / np.pi,
+            "'joints': the position looks like degrees (should",
+        ),
         ("joints", "velocity", 30.0 / np.pi, "'joints': the velocity looks like rpm (shoulder, elbow)"),
         ("command", "position", 180.0 / np.pi, "'command': the command looks like degrees (shoulder, elbow)"),
     ],
 )
 def test_units(
-    signal: str, quantity: str, factor: float, text: str, arm: amhe.System, caplog: pytest.LogCaptureFixture
+    signal: str, quantity: Any, factor: float, text: str, arm: amhe.System, caplog: pytest.LogCaptureFixture
 ) -> None:
     arrays = motion()
-    arrays[signal][quantity] = factor * arrays[signal][quantity]
+    for one in [quantity] if isinstance(quantity, str) else quantity:
+        arrays[signal][one] = factor * arrays[signal][one]
     assert f"run: signal {text}" in said(arrays, arm, caplog)
 
 
@@ -214,47 +211,34 @@ PAIR = '<contact><pair name="slide" geom1="box" geom2="floor" condim="{}"/></con
 FRICTION = "{geom: box, set: sliding_friction}"
 
 
-def test_the_larger_friction_of_two_geoms_hides_the_smaller(warnings_of) -> None:
-    assert "below 1 it changes nothing against geom 'floor'" in warnings_of(FRICTION)
+BOTH = f"{FRICTION}, {{geom: floor, set: sliding_friction}}"
+PRIORITY = 'priority="1"'
+ABOVE = ", nominal: 2, bounds: [1.5, 3]"
+TORSION = "{pair: slide, set: torsional_friction}"
 
 
-def test_not_when_both_are_set_together(warnings_of) -> None:
-    both = f"{FRICTION}, {{geom: floor, set: sliding_friction}}"
-    assert warnings_of(both, ", nominal: 0.5") == ""
-
-
-def test_not_when_the_geom_has_priority(warnings_of) -> None:
-    assert warnings_of(FRICTION, box='priority="1"') == ""
-
-
-def test_priority_of_the_other_geom_decides(warnings_of) -> None:
-    assert "whose higher priority decides" in warnings_of(
-        "{geom: floor, set: sliding_friction}", box='priority="1"'
-    )
-
-
-def test_not_when_the_bounds_stay_above_the_other_geom(warnings_of) -> None:
-    assert warnings_of(FRICTION, ", nominal: 2, bounds: [1.5, 3]") == ""
-
-
-def test_a_geom_that_only_collides_in_pairs_ignores_its_own_friction(warnings_of) -> None:
-    text = warnings_of(FRICTION, box='contype="0" conaffinity="0"', pair=PAIR.format(3))
-    assert "target the pair" in text
-
-
-def test_torsional_friction_needs_a_larger_contact_dimension(warnings_of) -> None:
-    text = warnings_of("{pair: slide, set: torsional_friction}", pair=PAIR.format(3))
-    assert "pair 'slide' has condim 3; torsional friction acts from condim 4" in text
-    assert "rolling friction acts from condim 6" in warnings_of("{geom: box, set: rolling_friction}")
-
-
-def test_enough_contact_dimension_is_quiet(warnings_of) -> None:
-    assert warnings_of("{pair: slide, set: torsional_friction}", pair=PAIR.format(4)) == ""
-
-
-def test_a_time_constant_below_two_steps_is_not_what_is_simulated(warnings_of) -> None:
-    text = warnings_of("{geom: box, set: contact_time_constant}", ", bounds: [0.001, 0.1]")
-    assert "below two time steps, 0.004 s, acts as 0.004 s" in text
+@pytest.mark.parametrize(
+    ("target", "how", "text"),
+    [
+        (FRICTION, {}, "below 1 it changes nothing against geom 'floor'"),
+        (BOTH, {"keys": ", nominal: 0.5"}, None),
+        (FRICTION, {"box": PRIORITY}, None),
+        ("{geom: floor, set: sliding_friction}", {"box": PRIORITY}, "whose higher priority decides"),
+        (FRICTION, {"keys": ABOVE}, None),
+        (FRICTION, {"box": 'contype="0" conaffinity="0"', "pair": PAIR.format(3)}, "target the pair"),
+        (TORSION, {"pair": PAIR.format(3)}, "'slide' has condim 3; torsional friction acts from condim 4"),
+        ("{geom: box, set: rolling_friction}", {}, "rolling friction acts from condim 6"),
+        (TORSION, {"pair": PAIR.format(4)}, None),
+        (
+            "{geom: box, set: contact_time_constant}",
+            {"keys": ", bounds: [0.001, 0.1]"},
+            "below two time steps, 0.004 s, acts as 0.004 s",
+        ),
+    ],
+)
+def test_a_target_that_does_nothing_is_warned_of(warnings_of, target: str, how: dict, text: str) -> None:
+    said = warnings_of(target, **how)
+    assert said == "" if text is None else text in said
 
 
 SPARSE = '<option jacobian="sparse" {}/>'
@@ -273,7 +257,7 @@ def test_the_sparse_newton_solver_of_mujoco_4_0_0_is_warned_of(
     warnings_of, monkeypatch, version: str, option: str, warned: bool
 ) -> None:
     monkeypatch.setattr("mujoco.__version__", version)
-    text = warnings_of(FRICTION, ", nominal: 2, bounds: [1.5, 3]", option=option)
+    text = warnings_of(FRICTION, ABOVE, option=option)
     assert ('<option jacobian="dense"/>' in text) == warned
     assert warned or text == ""
 

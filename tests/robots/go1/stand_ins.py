@@ -197,7 +197,6 @@ class Stage:
         turn: np.ndarray | None = None, names: tuple[str, str] = ("go1", "box"),
     ) -> None:  # fmt: skip
         self.trunk, self.silent = TRUNK, False
-        self.extra: list[bytes] = []
         self.off = 0
         floor = TRUNK[0] * [1.0, 1.0, 0.0]
         poses = [TRUNK, (floor + rotate(TRUNK[1], np.array(box)), TRUNK[1])]
@@ -226,8 +225,6 @@ class Stage:
 
     def _send(self) -> None:
         now = self._clock.now() - 77.0
-        while self.extra:
-            self._client.sendto(self.extra.pop(), self._to)
         shift = np.array([0.0, 0.5, 0.0]) if self.off > 0 else np.zeros(3)
         self.off -= 1
         for number, (name, (true, pose)) in enumerate(self._bodies):

@@ -158,17 +158,6 @@ def test_a_run_measures_on_its_own_clock_and_plays_its_plans(puppet: Puppet) -> 
 
 
 @pytest.mark.medium
-def test_a_first_plan_in_the_midst_of_a_stride_is_no_jump(puppet: Puppet) -> None:
-    stride = HOME + np.tile([0.0, 0.1, -0.65], 4)
-    with begun(puppet) as (target, _):
-        time, _ = target.measure()
-        for _ in range(25):
-            time, _ = exchange(target, Plan(time + PERIOD, PERIOD, np.tile(stride, (16, 1))))
-        assert target.report.trip == ""
-        np.testing.assert_allclose(puppet.received[-1][1].position, stride, atol=1e-3)
-
-
-@pytest.mark.medium
 def test_the_delay_of_poses_counts_for_their_age(puppet: Puppet, monkeypatch: pytest.MonkeyPatch) -> None:
     handed: list[float] = []
     with begun(puppet, SETTINGS.model_copy(update={"pose_delay": 0.2})) as (target, _):
@@ -262,39 +251,15 @@ def test_a_rehearsal_measures_on_the_runs_clock_and_sends_nothing(puppet: Puppet
     assert puppet.idle
 
 
-def walk_on(target: Go1Target, cycles: int) -> list[np.ndarray]:
-    """Play plans; all positions of the box that were believed."""
-    seen, (now, _) = [], target.measure()
-    for _ in range(cycles):
-        now, measured = exchange(target, Plan(now + PERIOD, PERIOD, np.tile(HOME, (16, 1))))
-        seen += list(measured["box.position"][1])
-    return seen
-
-
-@pytest.mark.medium
-def test_datagrams_that_cannot_be_true_change_nothing(puppet: Puppet) -> None:
-    form = '{"body": "box", %s, "orientation": [1, 0, 0, 0]}'
-    wrong = (
-        '"position": [1e300, 0, 0]', '"time": 1e9, "position": [2.6, -1.0, 0.15]', '"position": [NaN, 0, 0]',
-        f'"time": 1{"0" * 400}, "position": [2, 0, 0]',
-    )  # fmt: skip
-    with begun(puppet) as (target, cameras):
-        walk_on(target, 5)
-        cameras.extra += [(form % content).encode() for content in wrong]
-        seen = walk_on(target, 20)
-        assert not cameras.extra
-        assert target.report.trip == ""
-    assert len(seen) > 10
-    np.testing.assert_allclose(seen, np.tile(BOX, (len(seen), 1)), atol=1e-6)
-
-
 @pytest.mark.medium
 def test_many_poses_that_cannot_be_true_let_the_robot_down(puppet: Puppet) -> None:
     with begun(puppet) as (target, cameras):
-        walk_on(target, 5)
-        cameras.shift_box(30)
+        now, _ = target.measure()
         with pytest.raises(StoppedError, match="of the last 100 poses of 'box' cannot be true: it steps"):
-            walk_on(target, 100)
+            for cycle in range(105):
+                now, _ = exchange(target, Plan(now + PERIOD, PERIOD, np.tile(HOME, (16, 1))))
+                if cycle == 5:
+                    cameras.shift_box(30)
         puppet.wait(damps)
     assert target.report.trip == "pose_doubt"
 
