@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
 from contextlib import redirect_stdout
@@ -203,8 +202,7 @@ def test_mistakes_in_options_are_found_before_logs_are_read(
 
 
 @pytest.mark.medium
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_an_interrupted_run_keeps_the_best_so_far(pendulum_log: Path, number: int, code: int) -> None:
+def test_an_interrupted_run_keeps_the_best_so_far(pendulum_log: Path) -> None:
     command = [sys.executable, "-m", "amhe_cli", "identify", str(pendulum_log), "-o", "out", *QUICK]
     command += ["--set", "identify.iterations=100000"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
@@ -214,9 +212,9 @@ def test_an_interrupted_run_keeps_the_best_so_far(pendulum_log: Path, number: in
         for line in process.stderr:
             if "cost" in line:
                 break
-        process.send_signal(number)
+        process.terminate()
         out, err = process.communicate(timeout=60)
-    assert process.returncode == code, err
+    assert process.returncode == 143, err
     assert "interrupted" in out
     assert names("out") == FILES
     assert json.loads(Path("out/result.json").read_text())["interrupted"] is True
@@ -352,17 +350,8 @@ def test_offsets_are_found_again_and_make_the_robot_fit_to_run(monkeypatch: pyte
     pytest.importorskip("natnet")
     monkeypatch.setattr("amhe_cli.robots.go1.link.open._CYCLES", 20)
     with emulating("--set", "go1.slow=2", *off("trunk", TRUNK), *off("box", BOX)) as emulated:
-        command = [
-            sys.executable,
-            "-m",
-            "amhe_cli",
-            "calibrate",
-            "--seconds",
-            "0.8",
-            "-o",
-            "out",
-            *at(emulated),
-        ]
+        look = ["calibrate", "--seconds", "0.8", "-o", "out"]
+        command = [sys.executable, "-m", "amhe_cli", *look, *at(emulated)]
         pressed, nobody = (
             subprocess.run(
                 [*command, *more], input=keys, text=True, capture_output=True, timeout=120,
