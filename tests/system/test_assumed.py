@@ -113,6 +113,21 @@ def test_limits_count_where_they_act_with_their_share_of_the_steps() -> None:
     }
 
 
+@pytest.mark.parametrize(
+    ("targets", "assumed"),
+    [
+        ([{"carry_limit": True}], True),  # of one factor: nothing says how exact their ratio is
+        ([{"carry_limit": True}, {}], False),  # a gain beside it is their ratio
+        ([{"carry_limit": True}, {"set": "force_limit"}], False),
+        ([{}], True),
+    ],
+)
+def test_a_limit_that_only_follows_a_gain_is_assumed(targets: list[dict[str, Any]], assumed: bool) -> None:
+    scales = [{"actuator": "a", "set": "gain", "mode": "scale"} | target for target in targets]
+    found = derived(arm(*scales), hit(force=[True, False]))
+    assert ("the force limit of a" in found) == assumed and "the gain of a" not in found
+
+
 def test_what_is_at_a_limit_is_seen_in_states() -> None:
     model = mujoco.MjModel.from_xml_string(ARM)
     spec, qvel = int(mujoco.mjtState.mjSTATE_CTRL), np.zeros((3, 2))

@@ -26,6 +26,9 @@ from amhe_cli.system.parameters.gear_friction import GearFriction
 from amhe_cli.system.parameters.inertia import inertia_about_com
 from amhe_cli.system.parameters.servos import Servos
 
+#: Fields with the gain of an actuator and the limit of its force.
+_GAIN, _LIMIT = "actuator_gainprm", "actuator_forcerange"
+
 
 def inputs_of_set_const() -> frozenset[str]:
     """Fields of MjModel from which `mj_setConst` derives others.
@@ -133,10 +136,25 @@ class ModelEdits:
 
     @property
     def taken(self) -> set[tuple[str, int]]:
-        """Field and row of the numbers that parameters set, held ones only where somebody measured them."""
+        """Field and row of the numbers that parameters set, held ones only where somebody measured them.
+
+        A limit of force that follows a gain is one only where a gain beside it, or a limit, is set too:
+        nothing else says how exact the ratio of the two is.
+        """
         guessed = {name for name, held in self.held.items() if not held.sd}
         edits = [e for e in self._every if not {self._all.names[i] for i in e.columns[:1]} & guessed]
-        return {(cells.field, cells.row) for edit in edits for cells in edit.cells}
+        scalar = [edit for edit in edits if isinstance(edit, ScalarEdit)]
+        alone = {
+            cells.row
+            for edit in scalar
+            for cells in edit.written
+            if cells.field == _LIMIT or (cells.field == _GAIN and cells not in edit.carried)
+        }
+        carried = {
+            c.row for edit in scalar for cells in edit.carried.values() for c in cells if c.field == _LIMIT
+        }
+        every = {(cells.field, cells.row) for edit in edits for cells in edit.cells}
+        return every - {(_LIMIT, row) for row in carried - alone}
 
     def considered(self) -> Iterator[tuple[Parameter, Held, tuple[Cells, ...], Mode]]:
         """Held parameters that somebody measured: each with its value, what it sets, and how."""

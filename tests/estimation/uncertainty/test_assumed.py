@@ -66,8 +66,19 @@ def settings(**given: float) -> dict[str, Any]:
     return {**CHEAP, "identify": {**CHEAP["identify"], "profile_points": 0, "assumed": EXACT | given}}
 
 
-def pendulum(limit: float, free: bool = False, step: float = 0.002, **given: float) -> System:
-    """The bundled pendulum, with a limit of its servo's torque [N m], which may be free.
+#: A limit of a servo's force that is unknown, and a factor on both its gain and that limit.
+LIMIT = {"limit": {"targets": [{"actuator": "servo", "set": "force_limit"}]}}
+SCALE = {
+    "gain_scale": {
+        "nominal": 1.0,
+        "prior_sd": 0.1,
+        "targets": [{"actuator": "servo", "set": "gain", "mode": "scale", "carry_limit": True}],
+    }
+}
+
+
+def pendulum(limit: float, beside: Any = (), step: float = 0.002, **given: float) -> System:
+    """The bundled pendulum, with a limit of its servo's torque [N m], and parameters beside its four.
 
     Its limit and its time step are assumed, and `given`.
     """
@@ -83,7 +94,7 @@ def pendulum(limit: float, free: bool = False, step: float = 0.002, **given: flo
             p.name: {"nominal": p.nominal, "prior_sd": p.prior_sd, "targets": [target]}
             for p, target in zip(bundled.space.parameters, targets, strict=True)
         }
-        | ({"limit": {"targets": [{"actuator": "servo", "set": "force_limit"}]}} if free else {}),
+        | dict(beside),
         signals={
             "joints": {"joints": ["hinge"], "noise": {"position": NOISE[0], "velocity": NOISE[1]}},
             "command": {"actuators": ["servo"], "quantity": "position"},
@@ -251,11 +262,27 @@ def test_a_wrong_limit_is_named_and_the_interval_holds() -> None:
 
 @pytest.mark.medium
 def test_a_limit_as_a_parameter_is_found_and_not_assumed() -> None:
-    result = identify(pendulum(1.1, free=True), [swing(pendulum(1.1), weak_limit)], None, IdentifyOptions())
+    result = identify(pendulum(1.1, LIMIT), [swing(pendulum(1.1), weak_limit)], None, IdentifyOptions())
     limit = of(result, "limit")
     assert limit.estimate == pytest.approx(0.88, rel=0.05)
     assert limit.lower < 0.88 < limit.upper
     assert not any("force limit" in reason.text for p in result.parameters for reason in p.reasons)
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("agree", [True, False])
+def test_a_limit_that_follows_a_gain_may_be_off_beside_it(agree: bool) -> None:
+    system, log = pendulum(1.1, SCALE), swing(pendulum(1.1), unchanged if agree else strong_servo)
+    result = identify(system, [log], None, IdentifyOptions())
+    truth = (*TRUTH, 1.0 if agree else 1.12)
+    claims = {p.verdict for p in result.parameters if p.name in ("load_mass", "armature")}
+    inside = [p.lower <= true <= p.upper for p, true in zip(result.parameters, truth, strict=True)]
+    assert all(inside)
+    if agree:
+        assert claims <= {"identified", "conditional"}
+    else:
+        assert "identified" not in {p.verdict for p in result.parameters}
+        assert any("the force limit of servo, 1.1" in r.text for p in result.parameters for r in p.reasons)
 
 
 # -- time steps and delays -----------------------------------------------------------------------------------
