@@ -5,8 +5,8 @@
 
 For each plant free walking is recorded and the robot identified; then each task runs, without and with that
 robot. `--strangers N` adds robots that are drawn at random, with several differences at once, some of them
-no unknowns (feet that sink, heavier legs, soles): `s0`, `s1`, ... `--try JSON` repeats all runs under other
-settings, such as '{"control": {"samples": 5}}'.
+no unknowns (feet that sink, heavier legs, soles): `s0`, `s1`, ... `--try JSON` makes all runs under other
+settings (repeat it for more; '' for none), such as '{"control": {"samples": 5}}'.
 Each result is a line of JSON on the standard output, so that a run that was cut can go on from what it
 printed; seeds come one after the other, so that it has the first ones whole. Tables follow.
 """
@@ -117,7 +117,7 @@ def main() -> None:
     cells: list[Cell] = [  # a run that is cut has a seed of everything first
         (plant, task, *mode.split("-"), seed, tried)
         for seed, tried, mode, task, plant in product(
-            range(given.seeds), ["", *given.tried], modes, tasks, plants
+            range(given.seeds), given.tried or [""], modes, tasks, plants
         )
     ]
     if given.workers:

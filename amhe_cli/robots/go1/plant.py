@@ -47,7 +47,7 @@ class PlantShape:
         latency: Time from a command to its effect [s].
         zeros: Offsets of the encoders [rad], of all joints.
         legs: Mass of the legs as a share of the model's.
-        box: Size of the box as a share of the stated one, in x, y and z.
+        box: Size of the box as a share of the task's, in x, y and z.
         box_centre: Where the box's centre of mass is beside its middle [m].
     """
 
@@ -107,7 +107,7 @@ def find_plant(plant: str | Path | None) -> tuple[PlantShape, Path | None]:
 
 
 def shaped_plant(box: Box, shape: PlantShape, robot: Path | None = None) -> mujoco.MjModel:
-    """The plant of a shape, with a box as it is stated; see `plant_model`.
+    """The plant of a shape, with a box of the task's size; see `plant_model`.
 
     What is no number of the model, latency and zeros and the friction of loads, the `Plant` does.
     """
@@ -163,7 +163,7 @@ class Plant:
         noise: Noise of the sensors.
         start: Initial qpos, shape (nq,); None: `home`.
         shape: What of another plant is no number of the model: latency, zeros, friction under load.
-        face: Axis of the box along which it is pushed; None: nobody asks where its face and its base are.
+        beside: Further true parameters, by name, which no change moves.
     """
 
     def __init__(
@@ -174,17 +174,18 @@ class Plant:
         noise: SensorNoise = _NOISE,
         start: FloatArray | None = None,
         shape: PlantShape = PLANTS["ours"],
-        face: int | None = None,
+        beside: Mapping[str, float] | None = None,
     ) -> None:
         self.model, self._data, self._at = model, mujoco.MjData(model), layout(model)
         self._pending, self._rng, self._noise = list(changes), rng, noise
         self._pose_every = max(1, round(noise.pose_period / model.opt.timestep))
         self._uniform_inertia = self._inertia_per_mass()
-        overlap = model.geom("box").size * (1.0 / np.array(shape.box) - 1.0)
-        asked = {} if face is None else {"face_overlap": overlap[face], "floor_overlap": overlap[2]}
-        self._overlap = {name: float(value) for name, value in asked.items()}
         self._data.qpos[:] = home(model) if start is None else start
-        self._shape, self._friction = shape, np.array(model.dof_frictionloss[self._at.joints_v])
+        self._beside, self._shape, self._friction = (
+            dict(beside or {}),
+            shape,
+            np.array(model.dof_frictionloss[self._at.joints_v]),
+        )
         self._waiting: deque[tuple[float, FloatArray]] = deque()
         self._data.ctrl[self._at.servos] = self._data.qpos[self._at.joints]
         mujoco.mj_forward(model, self._data)
@@ -222,7 +223,7 @@ class Plant:
             "box_mass": float(self.model.body("box").mass[0]),
             "box_inertia_scale": self._inertia_per_mass() / self._uniform_inertia,
             "floor_friction": float(self.model.pair(FLOOR_PAIR).friction[0]),
-            **self._overlap,
+            **self._beside,
         }
 
     def advance(self, targets: FloatArray, duration: float) -> Samples:

@@ -223,14 +223,20 @@ def open_run(options: RunOptions, task: Task | None = None) -> Run:
         ConfigError: Unknown task or mode, a belief that does not suit, a plant that is no Go1, or a wrong
             setting.
     """
-    task, system = task_and_system(options, task)
+    named = task or find_task(options.task)
+    task, system = task_and_system(options, named)
     settings = settings_of(system).control
     start, sensors, samples = (generator(options.seed, use) for use in ("start", "sensors", "samples"))
     shape, robot = find_plant(options.plant)
-    model = shaped_plant(_moved(task, start), shape, robot)
+    box = _moved(task, start)
+    if shape.box != (1.0, 1.0, 1.0):  # it has its own size, whatever the user states
+        box = replace(box, size=named.box.size)
+    model = shaped_plant(box, shape, robot)
     first = _start(home(model), layout(model).trunk, start)
-    face = int(task.one_leg) if "face_overlap" in system.space.names else None
-    plant = Plant(model, task.changes, sensors, start=first, shape=shape, face=face)
+    gap = system.model.geom("box").size - model.geom("box").size  # negative: it is larger than stated
+    sizes = {"face_overlap": float(gap[int(task.one_leg)]), "floor_overlap": float(gap[2])}
+    beside = {name: value for name, value in sizes.items() if name in system.space.names}
+    plant = Plant(model, task.changes, sensors, start=first, shape=shape, beside=beside)
     target = SimTarget(plant, settings.period, HOME, settings.realtime, latency_of(system))
     return run_on(options, task, system, target, plant, samples, options.threads)
 

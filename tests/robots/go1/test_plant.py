@@ -226,14 +226,26 @@ def a_plant(shape: PlantShape) -> Plant:
     return Plant(shaped_plant(Box(), shape), (), np.random.default_rng(0), QUIET, shape=shape)
 
 
-def test_a_box_of_another_size_is_as_much_ahead_and_above_the_stated_one() -> None:
-    """The crate is 0.33 x 0.475 x 0.315 m, of stated 0.3 x 0.5 x 0.3; only who asks is told."""
-    for face, ahead in ((0, -0.015), (1, 0.0125)):
-        model = shaped_plant(Box(), PLANTS["crate"])
-        crate = Plant(model, (), np.random.default_rng(0), QUIET, shape=PLANTS["crate"], face=face)
-        assert crate.parameters["face_overlap"] == pytest.approx(ahead)
-        assert crate.parameters["floor_overlap"] == pytest.approx(-0.0075)
-    assert "face_overlap" not in a_plant(PLANTS["crate"]).parameters
+@pytest.mark.parametrize(
+    "task, measured, ahead, above",
+    [("t1", None, -0.015, -0.0075), ("t5", None, 0.0075, -0.0075), ("t1", [0.33, 0.475, 0.315], 0.0, 0.0)],
+)
+def test_a_box_of_another_size_is_as_much_ahead_and_above_the_stated_one(
+    task: str, measured: list[float] | None, ahead: float, above: float
+) -> None:
+    """The crate of t1 is 0.33 x 0.475 x 0.315 m, of stated 0.3 x 0.5 x 0.3; stated right, 0."""
+    settings: dict[str, object] = {"boxes": {"box": measured}} if measured else {}
+    asked = open_run(RunOptions(task, plant="crate", settings=settings | {"unknowns": ["box", "box_size"]}))
+    assert asked.plant is not None
+    assert asked.plant.parameters["face_overlap"] == pytest.approx(ahead)
+    assert asked.plant.parameters["floor_overlap"] == pytest.approx(above)
+    if measured:
+        np.testing.assert_allclose(2.0 * asked.plant.model.geom("box").size, measured)
+
+
+def test_only_who_asks_gets_the_size_of_a_box() -> None:
+    crate = open_run(RunOptions("t1", plant="crate"))
+    assert crate.plant is not None and "face_overlap" not in crate.plant.parameters
 
 
 def known(**values: float) -> dict[str, object]:
