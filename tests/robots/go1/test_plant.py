@@ -219,11 +219,8 @@ def test_states_and_measurements_are_copies() -> None:
     np.testing.assert_array_equal(seen["joints.position"][1], joints)
 
 
-QUIET = SensorNoise(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-
-
 def a_plant(shape: PlantShape) -> Plant:
-    return Plant(shaped_plant(Box(), shape), (), np.random.default_rng(0), QUIET, shape=shape)
+    return Plant(shaped_plant(Box(), shape), (), np.random.default_rng(0), SILENT, shape=shape)
 
 
 @pytest.mark.parametrize(

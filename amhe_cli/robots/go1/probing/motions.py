@@ -55,6 +55,14 @@ class Motion:
         """Duration of one repetition [s]."""
         return sum(phase.seconds for phase in self.phases)
 
+    def at(self, time: float) -> Segment:
+        """The command at a time [s]: the approach, then the motion over and over."""
+        since = time - APPROACH.seconds + 1e-9
+        if since < 0.0:
+            return APPROACH.phases[0]
+        ends = list(accumulate(phase.seconds for phase in self.phases))
+        return self.phases[min(bisect_right(ends, since % self.seconds), len(ends) - 1)]
+
 
 #: The approach, until the bumper meets the box; it reveals nothing, and comes before everything else.
 APPROACH = Motion("approach", "walk up to the box", (Segment(1.0, 0.2),))
@@ -83,48 +91,28 @@ def named_motion(name: str) -> Motion:
     return next(motion for motion in MOTIONS if motion.name == name)
 
 
-class Score:
-    """The command at each time: the approach, then a motion over and over.
-
-    Args:
-        motion: The motion after the approach.
-    """
-
-    def __init__(self, motion: Motion) -> None:
-        self.motion = motion
-        self._ends = list(accumulate(phase.seconds for phase in motion.phases))
-
-    def at(self, time: float) -> Segment:
-        """The command at a time [s]."""
-        since = time - APPROACH.seconds + 1e-9
-        if since < 0.0:
-            return APPROACH.phases[0]
-        turn = since % self.motion.seconds
-        return self.motion.phases[min(bisect_right(self._ends, turn), len(self._ends) - 1)]
-
-
 #: Place of the box in front of the robot, and length of its path, to whose end no probe comes [m].
 _PLACE, _LENGTH = Box().position, 100.0
 _GAIT = Gait()
 
 
-class ScoreHelm(Helm):
-    """Steers along a line as `Helm` does, at the speed and the place of the push that a score commands.
+class MotionHelm(Helm):
+    """Steers along a line as `Helm` does, at the speed and the place of the push that a motion commands.
 
     While it pushes off the middle, the box turns as it likes and the robot follows its yaw.
 
     Args:
-        score: The command at each time.
+        motion: The motion after the approach.
         half_length, half_width: Half the extent of the box along and across the push [m].
     """
 
-    def __init__(self, score: Score, path: Course, half_length: float, half_width: float) -> None:
+    def __init__(self, motion: Motion, path: Course, half_length: float, half_width: float) -> None:
         super().__init__(path, SPEED, TAPER, half_length, half_width)
-        self._score = score
+        self._motion = motion
 
     def reference(self, state: State, overlap: float = 0.0) -> Reference:
         """What the controller is to do now; a lost face is found again first."""
-        at, phase = super().reference(state, overlap), self._score.at(state.time)
+        at, phase = super().reference(state, overlap), self._motion.at(state.time)
         if self.retreating:
             return at
         gap, _ = self.gap(state, overlap)
@@ -140,7 +128,7 @@ class ScoreHelm(Helm):
 
 @dataclass(frozen=True, slots=True)
 class ProbeTask(Task):
-    """A task's box and floor, pushed by a score; for the rest see `Task`.
+    """A task's box and floor, pushed by a motion; for the rest see `Task`.
 
     Args:
         motion: What the robot does after the approach, for the task's nominal time.
@@ -148,15 +136,10 @@ class ProbeTask(Task):
 
     motion: Motion = APPROACH
 
-    @property
-    def score(self) -> Score:
-        """The score of the motion, with the approach."""
-        return Score(self.motion)
-
     def behaviour(self, gait: Gait = _GAIT) -> Walking:
         """See `Task.behaviour`."""
         depth, width, _ = self.box.size
-        return Walking(ScoreHelm(self.score, self.path, 0.5 * depth, 0.5 * width), gait)
+        return Walking(MotionHelm(self.motion, self.path, 0.5 * depth, 0.5 * width), gait)
 
 
 #: Free walking, which reveals the robot's own numbers: seconds, speed ahead [m/s], yaw rate [rad/s].

@@ -32,8 +32,7 @@ from amhe_cli.robots.go1.probing.motions import (
     MOTIONS,
     WIDEST_OFFSET,
     Motion,
-    Score,
-    ScoreHelm,
+    MotionHelm,
     Segment,
     named_motion,
 )
@@ -329,15 +328,14 @@ def state(time: float, gap: float = 0.0, box_yaw: float = 0.0) -> State:
     return State(time, trunk, box, HOME, np.zeros(12))
 
 
-def helm(motion: Motion) -> ScoreHelm:
-    return ScoreHelm(Score(motion), Course((0.6, 0.0), 0.0, 100.0), 0.15, 0.25)
+def helm(motion: Motion) -> MotionHelm:
+    return MotionHelm(motion, Course((0.6, 0.0), 0.0, 100.0), 0.15, 0.25)
 
 
-def test_a_score_repeats_its_motion_behind_the_approach() -> None:
-    score = Score(TRY)
-    speeds = [score.at(t).speed for t in (0.5, 1.0, 2.1, 2.6, 4.6, 5.6, 99.0)]
+def test_a_motion_repeats_behind_the_approach() -> None:
+    speeds = [TRY.at(t).speed for t in (0.5, 1.0, 2.1, 2.6, 4.6, 5.6, 99.0)]
     assert speeds == [0.2, 0.25, -0.1, 0.2, 0.25, -0.1, 0.25]
-    assert score.at(1.0 + 1000 * 3.5).speed == 0.25, "to the instant, however long"
+    assert TRY.at(1.0 + 1000 * 3.5).speed == 0.25, "to the instant, however long"
 
 
 def test_surges_keep_step_with_the_trot() -> None:
@@ -345,7 +343,7 @@ def test_surges_keep_step_with_the_trot() -> None:
     assert surge.seconds == pytest.approx(Gait().period)
 
 
-def test_the_helm_commands_the_scores_speed_and_place_of_the_push() -> None:
+def test_the_helm_commands_the_motions_speed_and_place_of_the_push() -> None:
     assert helm(TRY).reference(state(1.5)).speed == 0.25
     beside = helm(TRY).reference(state(3.0, box_yaw=0.2))
     assert (beside.speed, beside.offset) == (0.2, 0.1)
