@@ -38,7 +38,8 @@ Mark = Literal["updated", "jump", "still", "gap", "diverged"]
 LEAST = 5
 #: Fewest samples that determine slopes.
 LEAST_SAMPLES = 4
-#: Every so many updates the effect on a window is computed anew: it takes a rollout for each number.
+#: Every so many updates a number's effect on a window is computed anew, which takes a rollout: a few of the
+#: numbers in each update, all in the first.
 _EVERY = 10
 
 
@@ -84,26 +85,28 @@ class Considered:
             held = [(p.name, held.value + held.sd) for p, held, _, _ in self.system.edits.considered()]
             moved = [self.system.fixing({name: value}) for name, value in held]
             self._variants = [(one, self.engine.upon(one.model, one.edits)) for one in moved]
-            self._error = np.zeros((z.size, len(self._variants)))
+            self._error, self._own = np.zeros((2, z.size, len(self._variants)))
         if not self._variants:
             return
-        if self._updates % _EVERY == 0:
-            self._own = self._of_window(cost, z, fit)
+        number = len(self._variants)
+        due = range(self._updates % _EVERY, number, _EVERY) if self._updates else range(number)
+        for column in due:
+            self._own[:, column] = self._of_window(self._variants[column], cost, z, fit)
         self._updates += 1
         self._error = kept @ self._error + (np.eye(z.size) - kept) @ self._own
 
-    def _of_window(self, cost: MatchingCost, z: FloatArray, fit: WindowFit) -> FloatArray:
-        """T, how far each number moves the window's own estimate, shape (d, k)."""
-        told, before = fit.information, cost.residuals(z[None])
-        assert self._variants is not None and told is not None
-        moves = np.zeros((z.size, len(self._variants)))
-        for column, (system, engine) in enumerate(self._variants):
-            after = cost.upon(engine, system).residuals(z[None])
-            if before.completed.all() and after.completed.all():
-                change = (after.flat - before.flat)[0, 0]
-                pull = fit.slope @ (told.weight[0] * change)
-                moves[:, column] = -np.linalg.solve(told.matrix[0] + np.eye(z.size), pull)
-        return moves
+    @staticmethod
+    def _of_window(
+        variant: tuple[System, Engine], cost: MatchingCost, z: FloatArray, fit: WindowFit
+    ) -> FloatArray:
+        """A column of T: how far a number of the variant moves the window's own estimate, shape (d,)."""
+        (system, engine), told = variant, fit.information
+        assert told is not None
+        after = cost.upon(engine, system).residuals(z[None])
+        if not after.completed.all():
+            return np.zeros(z.size)
+        pull = fit.slope @ (told.weight[0] * (after.flat[0] - fit.slopes.centre)[0])
+        return -np.linalg.solve(told.matrix[0] + np.eye(z.size), pull)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
