@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -172,6 +173,19 @@ def test_several_cards_share_a_prediction(monkeypatch: pytest.MonkeyPatch) -> No
     arguments = call(PENDULUM)
     (one,), (three,) = (on(PENDULUM, *n * DEVICES).predict(*arguments).values for n in (1, 3))
     np.testing.assert_array_equal(to_host(three), to_host(one))
+
+
+def test_numbers_of_another_card_are_copied_before_its_memory_is_used_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The copy runs on the first card's stream, and the other card does not wait for it."""
+    done: list[str] = []
+    stream = SimpleNamespace(synchronize=lambda: done.append("waited"))
+    cuda = SimpleNamespace(Device=lambda which: nullcontext(), get_current_stream=lambda: stream)
+    cupy = SimpleNamespace(cuda=cuda, array=lambda values: done.append("copied"))
+    monkeypatch.setitem(sys.modules, "cupy", cupy)
+    engine_module._gathered(SimpleNamespace(device=SimpleNamespace(id=1)))  # type: ignore[arg-type]
+    assert done == ["copied", "waited"]
 
 
 def test_buffers_that_are_too_small_are_made_larger(

@@ -196,4 +196,8 @@ def _gathered(values: AnyArray) -> AnyArray:
     import cupy  # pyright: ignore[reportMissingImports]
 
     with cupy.cuda.Device(0):
-        return values if values.device.id == 0 else cupy.array(values)
+        if values.device.id == 0:
+            return values
+        copied = cupy.array(values)
+        cupy.cuda.get_current_stream().synchronize()  # their own card may use the memory again from here on
+        return copied

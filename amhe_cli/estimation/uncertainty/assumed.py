@@ -38,8 +38,10 @@ logger = logging.getLogger(__name__)
 
 #: Share of the misfit that a shorter time step must explain to be recommended.
 EXPLAINS = 0.1
-#: First change of a number, in its sd; where contacts jitter, it is all of the sd.
+#: First change of numbers, in their sd; where contacts jitter, it is all of the sd.
 SMALL = 0.05
+#: Most turns of samples along the axes of a posterior, and the growth of a variance that calls for one more.
+TURNS, GROWN = 4, 1.2
 #: Error of the estimate, in its sd, below which a number has no say in it.
 FELT = 0.03
 #: The same where contacts jitter.
@@ -171,7 +173,6 @@ def _regressed(fit: FinalFit, changes: Sequence[_Change], values: Sequence[Assum
     nuisances = _Nuisances(fit, changes, values)
     nuisances = nuisances.only(nuisances.felt())
     if nuisances.values:
-        # samples that leave the ridge along which z follows a number would bend, and pass for information
         nuisances = nuisances.followed()
         if np.abs(nuisances.posterior[1]).max() > FAR:
             # a step from a fit that they bias ends where the residuals are others
@@ -242,13 +243,25 @@ class _Nuisances:
         return _Nuisances(self.fit, changes, values, self.slopes[:, rows], self._at[rows])
 
     def followed(self) -> _Nuisances:
-        """Slopes from samples of one sd, accompanied by what z and the first states do along with each."""
-        d, first = len(self.fit.z), len(self.changes)
-        moves = self.posterior[2][:, first:]
-        gain = self._loose[..., None] * self._found.nuisance_gain
-        turns = gain[..., :d] @ moves + gain[..., d + first :]
-        slopes = self._with_changes(self._sampled(moves, turns, 1.0))
-        return _Nuisances(self.fit, self.changes, self.values, slopes, self._at)
+        """Slopes from samples along the ridges of the posterior: beside them the bend would be information.
+
+        Two gains and the masses have a common factor of which no log knows anything, and of each of them
+        alone a log may know a thousandth of what its data sheet leaves open. So samples follow the axes of
+        their posterior, by a small part of its width, and z and the first states follow them; again, until it
+        gets no wider. Where contacts jitter, each number is moved by its sd.
+        """
+        found, first, whole = self, len(self.changes), np.eye(len(self.values))
+        for _ in range(TURNS):
+            known, _, moves = found.posterior
+            gain = self._loose[..., None] * found._found.nuisance_gain
+            turns = gain[..., : len(moves)] @ moves[:, first:] + gain[..., len(moves) + first :]
+            steps = whole if self.problem.non_smooth else SMALL * axes(known[first:, first:])
+            slopes = self._with_changes(self._sampled(moves[:, first:], turns, steps))
+            found = _Nuisances(self.fit, self.changes, self.values, slopes, self._at)
+            grown = found.posterior[0].diagonal() / known.diagonal()
+            if self.problem.non_smooth or grown.max() < GROWN:
+                break
+        return found
 
     def moved(self) -> _Nuisances:
         """Linearised again where z, first states and all of them fit best, if they fit better there."""
@@ -280,29 +293,30 @@ class _Nuisances:
         moves = np.zeros((len(self.fit.z), len(self.values)))
         turns = np.zeros((*self.fit.slopes.first.mean.shape, len(self.values)))
         size = 1.0 if self.problem.non_smooth else SMALL
-        return self._with_changes(self._sampled(moves, turns, size))
+        return self._with_changes(self._sampled(moves, turns, size * np.eye(len(self.values))))
 
     def _with_changes(self, slopes: FloatArray) -> FloatArray:
         return np.concatenate((*(change.slope[:, None] for change in self.changes), slopes), axis=1)
 
-    def _sampled(self, moves: FloatArray, turns: FloatArray, size: float) -> FloatArray:
+    def _sampled(self, moves: FloatArray, turns: FloatArray, steps: FloatArray) -> FloatArray:
         """Slopes of the residuals (c, k, R) by the numbers of the model.
 
         Args:
             moves: Steps of z with a step of each, shape (d, k).
             turns: Steps of the first states with it, shape (c, nx, k).
-            size: Step of each, in its sd.
+            steps: The samples of one side, in the sd of each number, shape (k, k).
         """
         fit, k = self.fit, len(self.values)
         if not k:
             return np.zeros((len(fit.weight), 0, fit.slopes.residual.shape[1]))
-        down = np.diag([-float(not value.grows) for value in self.values])
-        steps = size * np.concatenate((np.eye(k), down))
-        z = np.concatenate((fit.z + steps @ moves.T, self._at[len(self.changes) :] + steps), axis=1)
+        grows, at = np.array([value.grows for value in self.values]), self._at[len(self.changes) :]
+        steps = np.concatenate((steps, -steps))
+        steps = np.where(grows, np.maximum(steps, -at), steps)
+        z = np.concatenate((fit.z + steps @ moves.T, at + steps), axis=1)
         first = fit.slopes.first.mean + np.einsum("pk,cxk->pcx", steps, turns)
         residuals = self._cost.residuals(z, first if first.shape[2] else None)
-        change = (residuals.flat[:k] - residuals.flat[k:]) / (size * (1.0 - down.diagonal()))[:, None, None]
-        change = change.swapaxes(0, 1)
+        pairs = residuals.flat[:k] - residuals.flat[k:]
+        change = np.tensordot(np.linalg.inv(steps[:k] - steps[k:]), pairs, 1).swapaxes(0, 1)
         gz, gx = np.split(fit.slopes.gain, [len(fit.z)], axis=1)
         return change - np.einsum("dk,cdr->ckr", moves, gz) - np.einsum("cxk,cxr->ckr", turns, gx)
 
@@ -325,6 +339,12 @@ class _Nuisances:
         step, precision = gauss_newton_step(*found.summed(self.fit.weight), prior, away)
         moves = -sealed(np.linalg.solve(precision[:d, :d], precision[:d, d:]))
         return (sealed(np.linalg.inv(precision)[d:, d:]), self._at + step[d:], moves), found, step
+
+
+def axes(covariance: FloatArray) -> FloatArray:
+    """The principal axes of a covariance (k, k), one a row, each as long as its sd."""
+    values, vectors = np.linalg.eigh(covariance)
+    return (vectors * np.sqrt(values)).T
 
 
 def _against(

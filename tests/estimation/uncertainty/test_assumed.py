@@ -193,6 +193,33 @@ def test_numbers_that_only_together_leave_the_estimate_open_cost_what_both_data_
     assert np.sqrt(known.covariance[0, 0]) < 0.2 * left_open(0.1)
 
 
+def rubbing(noise: float) -> tuple[System, Log]:
+    """A cart with a spring, dry friction and a drive: all but their common factor shows in its motion."""
+    word = SPRING[1] + ' damping="2" frictionloss="1"'
+    names = {"mass": {"body": "cart", "set": "mass"}} | {
+        n: {"joint": "x", "set": n} for n in ("damping", "friction_loss")
+    }
+    targets = {name: {"prior_sd": 0.5, "targets": [target]} for name, target in names.items()}
+    system = cart((SPRING[0], word), EXACT | {"gain": 0.1, "stiffness": 0.1}, **targets)
+    data, rng, time = mujoco.MjData(system.model), np.random.default_rng(0), 0.01 * np.arange(1200)
+    force = 6.0 * np.sin(5.0 * time) + 4.0 * np.cos(11.0 * time)
+    states = np.empty((len(time), 2))
+    for k, ctrl in enumerate(force):
+        states[k], data.ctrl[0] = (data.qpos[0], data.qvel[0]), ctrl
+        mujoco.mj_step(system.model, data)
+    states += noise * rng.standard_normal(states.shape)
+    state = {"time": time, "position": states[:, 0], "velocity": states[:, 1]}
+    return system, Log.from_arrays({"state": state, "force": {"time": time, "effort": force}}, system)
+
+
+def test_what_only_a_ratio_shows_is_open_however_little_the_log_errs() -> None:
+    """Slopes of each number alone, between which dry friction has kinks, would know the common factor."""
+    system, log = rubbing(2e-5)
+    found = terms(system, log, system.space.nominal)
+    shares = 2.0 * np.log(0.9) ** -2 + 3.0 * 0.5**-2
+    assert np.sqrt(found.covariance.diagonal()) == pytest.approx(shares**-0.5 / 0.5, rel=0.05)
+
+
 @pytest.mark.medium
 def test_a_number_that_the_log_determines_costs_nothing_where_it_is_right_and_all_where_it_is_wrong() -> None:
     system = cart(SPRING, EXACT | {"stiffness": 0.2}, mass=MASS)
