@@ -197,7 +197,7 @@ class Result:
         from amhe_cli.report.identification_page import overlay_section
         from amhe_cli.report.shown import view
 
-        return view([overlay_section(self.fits)], "Result")
+        return view([overlay_section(self.fits, refitted=self.found.clips.refitted)], "Result")
 
     def _rendered(self) -> Any:
         from amhe_cli.report.identification import print_identification

@@ -142,6 +142,7 @@ def conclude(search: Search, *, quick: bool = False) -> Identification:
             motionless=problem.pool.motionless,
             across_gaps=problem.pool.across_gaps,
             thinned=problem.thinned,
+            refitted=search.without is not None,
         ),
         noise_scale=fit.scale,
         unexplained=tuple(evidence.misfit),

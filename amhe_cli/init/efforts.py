@@ -24,6 +24,7 @@ from amhe_cli.init.signals import (
     torque_entry,
 )
 from amhe_cli.logs import read_signals
+from amhe_cli.system.description.efforts import unpowered_text
 from amhe_cli.system.model.elements import commanded, floats, names_of
 
 #: Dry friction, viscous friction at 1 rad/s, and a sensor's zero: sd, as a share of the torque's range.
@@ -73,7 +74,7 @@ def effort_signal(
         names=() if wanted else tuple(names.values()), columns=wanted,
     )  # fmt: skip
     try:
-        read = read_signals(log, [signal], 0.01, LogSettings(), end=_SECONDS, msg_path=msg_path)
+        read = read_signals(log, [signal], 0.01, LogSettings(), end=_SECONDS, msg_path=msg_path, warn=False)
     except AmheError:
         return None
     ranges = dict(zip(names, np.ptp(read["torque.effort"].values, axis=0).tolist(), strict=True))
@@ -101,11 +102,7 @@ def _off(model: mujoco.MjModel, joints: Sequence[str]) -> list[str]:
     off = [actuator for actuator in names_of(model, "actuator") if joint_of(model, actuator) in joints]
     if not off:
         return []
-    several = len(off) > 1
-    notes = [
-        f"actuator{'s' * several} {', '.join(off)} {'are' if several else 'is'} off: nothing commands "
-        f"{'them' if several else 'it'}, and what drove the joint{'s' * several} was measured"
-    ]
+    notes = [unpowered_text(off)]
     servos = [name for name in off if commanded(model, model.actuator(name).id) != "effort"]
     if servos:
         motors = " ".join(f'<motor name="{one}" joint="{joint_of(model, one)}"/>' for one in servos)

@@ -335,7 +335,7 @@ def _declare_units(made: Proposal, log: Path, msg_path: Path | None) -> list[str
     system = made.system("")
     try:
         seen = read_signals(
-            log, system.signals, system.dt, LogSettings(), end=_NOISE_SECONDS, msg_path=msg_path
+            log, system.signals, system.dt, LogSettings(), end=_NOISE_SECONDS, msg_path=msg_path, warn=False
         )
     except AmheError:
         return []  # what cannot be read is a note of the noise
@@ -363,7 +363,9 @@ def _estimate_noise(made: Proposal, log: Path, topics: Sequence[Topic], msg_path
             dt = 1.0 / rates[signal.topic or next(iter(rates))]
             wanted = replace(signal, quantities=compared)
             held = replace(wanted, name=f"{signal.name} held", is_input=True)  # its steps, not interpolated
-            both = read_signals(log, [wanted, held], dt, LogSettings(), end=_NOISE_SECONDS, msg_path=msg_path)
+            both = read_signals(
+                log, [wanted, held], dt, LogSettings(), end=_NOISE_SECONDS, msg_path=msg_path, warn=False
+            )
         except AmheError as error:
             unread.append(f"{guess.name}: its noise is a guess, because {error}")
             continue

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import mujoco
 import numpy as np
 
+from amhe_cli.core.arrays import IntArray
 from amhe_cli.init.drives import (
     delay,
     entry_of,
@@ -136,11 +137,9 @@ def _frictions(model: mujoco.MjModel, signals: Sequence[Guess]) -> Iterator[Gues
         yield from _pair_frictions(model)
         return
     colliding = np.flatnonzero((model.geom_contype | model.geom_conaffinity) != 0)
-    surfaces: dict[str, tuple[int, float]] = {}  # body -> its largest priority and friction
-    for geom in colliding:
-        name = model.body(model.geom_bodyid[geom]).name
-        rank = int(model.geom_priority[geom]), float(model.geom_friction[geom, 0])
-        surfaces[name] = max(surfaces.get(name, rank), rank)
+    owners = model.geom_bodyid[colliding]
+    places = {model.body(row).name: _standing(model, colliding[owners == row]) for row in np.unique(owners)}
+    surfaces = {name: rank for name, (_, rank) in places.items()}  # body -> its priority and friction
     fixed = [name for name in surfaces if name and int(model.body_weldid[model.body(name).id]) == 0]
     if not fixed or len(fixed) == len(surfaces) or not all(surfaces):
         return
@@ -149,7 +148,7 @@ def _frictions(model: mujoco.MjModel, signals: Sequence[Guess]) -> Iterator[Gues
     for name in surfaces:  # of two geoms the higher priority decides, then the larger friction
         groups.setdefault(floor if name in fixed else max(surfaces[name], floor), []).append(name)
     for (priority, nominal), names in groups.items():
-        entry = entry_of(nominal, False, [{"body": name, "set": "sliding_friction"} for name in names])
+        entry = entry_of(nominal, False, [_target(name, places[name][0]) for name in names])
         if names[0] in fixed or floor not in groups:
             if len(names) > len(fixed):
                 why = "friction of every contact: MuJoCo takes the larger one of both geoms, so both are set"
@@ -160,6 +159,25 @@ def _frictions(model: mujoco.MjModel, signals: Sequence[Guess]) -> Iterator[Gues
         of = f"body {names[0]}" if len(names) == 1 else f"{len(names)} bodies alike"
         why = f"friction of {of}: it decides at a contact, because it is larger or has priority"
         yield Guess(f"{kin(names[0]) if len(names) > 1 else names[0]}_friction", entry, why)
+
+
+def _standing(model: mujoco.MjModel, geoms: IntArray) -> tuple[str, tuple[int, float]]:
+    """Priority and friction of a body's geoms; where these differ and have names, the lowest one's, and it."""
+    ranks = {int(row): (int(model.geom_priority[row]), float(model.geom_friction[row, 0])) for row in geoms}
+    if len(set(ranks.values())) == 1 or not all(model.geom(row).name for row in ranks):
+        return "", max(ranks.values())
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    turned = data.geom_xmat[geoms].reshape(-1, 3, 3)[:, 2]
+    middle, half = model.geom_aabb[geoms, :3], model.geom_aabb[geoms, 3:]
+    bottoms = data.geom_xpos[geoms, 2] + (turned * middle - np.abs(turned) * half).sum(axis=1)
+    lowest = int(geoms[np.argmin(bottoms)])
+    return model.geom(lowest).name, ranks[lowest]
+
+
+def _target(body: str, geom: str) -> dict[str, str]:
+    """Where a friction is set: at one geom, or at all of a body."""
+    return {"geom" if geom else "body": geom or body, "set": "sliding_friction"}
 
 
 def _pair_frictions(model: mujoco.MjModel) -> Iterator[Guess]:

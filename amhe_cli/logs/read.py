@@ -149,6 +149,7 @@ def read_signals(
     start: float | None = None,
     end: float | None = None,
     msg_path: Path | None = None,
+    warn: bool = True,
 ) -> Log:
     """Read the given signals of one log onto one uniform clock.
 
@@ -168,6 +169,7 @@ def read_signals(
         start: Where to begin [s], counted from row 0.
         end: Where to stop [s], counted from row 0.
         msg_path: Folder of .msg files for types that the log does not define.
+        warn: Warn of long gaps.
 
     Raises:
         ConfigError: If the path does not exist, or a signal or option makes no sense.
@@ -182,7 +184,8 @@ def read_signals(
         series: dict[str, Series] = {}
         for track in tracks:
             of_signal = series_of(path, track, grid, start_ns, settings.max_gap)
-            warn_of_gaps(path, track.signal, of_signal, dt)
+            if warn:
+                warn_of_gaps(path, track.signal, of_signal, dt)
             series |= of_signal
     begun = 0.0 if start is None else dt * np.ceil(start / dt - 1e-6)
     return Log(dt, corrected(series, signals, dt, begun), str(path), start_ns, log.metadata, path)

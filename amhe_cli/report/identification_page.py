@@ -51,6 +51,8 @@ CORRELATED = 0.6
 #: What residuals over noise mean.
 THUMB = "about 1 is good; from 2 on, look at what is left; from 5 on, the model is wrong"
 
+#: What is said of a short log.
+_REFITTED = "The log is short: held-out clips judged a fit without them, and the values here fit them too."
 #: Combinations that are named outside their own table.
 MAX_COMBINATIONS = 3
 
@@ -105,7 +107,7 @@ def identification_page(
         title=named if result.system == "system" else result.system,  # that of `identify --model` has no name
         facts=(
             f"{logs} log{'s' * (logs != 1)} fitted",
-            f"{clips.fitted} clips fitted, {clips.held_out} held out",
+            f"{clips.fitted} clips fitted, {clips.held_out} held out{' of a first fit' * clips.refitted}",
             f"{result.rollouts:,} rollouts in {record['seconds']:.1f} s",
         ),
         headline=headline(result),
@@ -158,6 +160,7 @@ def statements(result: Identification) -> list[Statement]:
         *(Statement("bad", f"{text[0].upper()}{text[1:]}.") for text in result.unexplained),
         *held_out_statement(result.held_out),
         *_better(result.held_out),
+        *([Statement("mixed", _REFITTED)] if result.clips.refitted else []),
         *(Statement("good", f"{text[0].upper()}{text[1:]}.") for text in result.determined[:1]),
         *_verdicts(result.lines),
         *(Statement("good", together_text(result, c)) for c in known_together(result)[:MAX_COMBINATIONS]),
@@ -206,7 +209,7 @@ def _sections(result: Identification, record: Mapping[str, Any], seen: Beside) -
     if joints := result.determined[1:]:
         yield Section("Each joint", items=joints)
     if result.fits:
-        yield overlay_section(result.fits, seen)
+        yield overlay_section(result.fits, seen, result.clips.refitted)
     if doubts := record.get("findings"):
         yield before_section(doubts)
     if result.held_out:
@@ -270,14 +273,24 @@ def next_steps(result: Identification, folder: str | Path, view: bool) -> list[s
     rows = result.missing.rows if result.missing and not result.repairs else ()
     names = [] if any(row.in_log for row in rows) else [row.name for row in rows if row.repair]
     mend = [f"mend: amhe identify with --repair tries {numbers.some(names)}"] if names else []
-    if result.unexplained:
+    if stuck := [p.name for p in result.parameters if any(one.kind == "bound" for one in p.reasons)]:
+        own = Path(folder) / "system"
+        file, system = (f"{quoted}/system/system.yaml", own) if own.exists() else ("system.yaml", "FOLDER")
+        wide = f"widen the bounds of {numbers.some(stuck)} in {file}, if they may be wrong"
+        mend.append(f"mend: {wide}, then: amhe identify LOG --system {shlex.quote(str(system))}")
+    if result.unexplained or not any(p.verdict in ("identified", "conditional") for p in result.lines):
         return [look, *mend]
     use = f"use: {quoted}/identified.xml", f"randomise: amhe export --to mjlab {quoted}/belief.yaml"
     return [look, *mend, *use]
 
 
-def overlay_section(fits: Sequence[Fit], seen: Beside = ALONE) -> Section:
+def overlay_section(fits: Sequence[Fit], seen: Beside = ALONE, refitted: bool = False) -> Section:
     """Measured against predicted: the clip that the values before miss most, in large; the others below."""
+
+    def named(own: Sequence[Fit]) -> str:
+        held = "curves of a first fit, without this clip" if refitted else "not fitted"
+        return f"{own[0].clip}, {held if own[0].held_out else 'fitted'}."
+
     clips: dict[str, list[Fit]] = {}
     for fit in fits:
         clips.setdefault(fit.clip, []).append(fit)
@@ -288,17 +301,13 @@ def overlay_section(fits: Sequence[Fit], seen: Beside = ALONE) -> Section:
     others = [own for own in clips.values() if own is not first][: MAX_CLIPS - 1]
     return Section(
         "Measured against predicted",
-        text=_clip_text(first),
+        text=named(first),
         figure=seen.strip
         + figures.fit_figure(first, large=True)
         + Markup("").join(
-            Markup("<p>{}</p>").format(_clip_text(own)) + figures.fit_figure(own) for own in others
+            Markup("<p>{}</p>").format(named(own)) + figures.fit_figure(own) for own in others
         ),
     )
-
-
-def _clip_text(fits: Sequence[Fit]) -> str:
-    return f"{fits[0].clip}, {'not fitted' if fits[0].held_out else 'fitted'}."
 
 
 def _together_section(result: Identification) -> Section:
@@ -376,7 +385,8 @@ def _data_section(result: Identification) -> Section:
         )
         if count
     ]
-    parts = [f"{clips.fitted_of} were fitted" + f" and {clips.held_out} held out" * (clips.held_out > 0)]
+    held = f" and {clips.held_out} held out" + " of a first fit" * clips.refitted
+    parts = [f"{clips.fitted_of} were fitted" + held * (clips.held_out > 0)]
     parts += [f"{numbers.joined(dropped)} were dropped"] if dropped else []
     parts += [f"{result.diverged:,} of {result.rollouts:,} rollouts diverged"] if result.diverged else []
     text = "".join(f"{part}. " for part in parts)

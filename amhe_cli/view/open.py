@@ -15,7 +15,7 @@ from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.log import Log, Window
 from amhe_cli.core.shown import TimeCurve
 from amhe_cli.engine.open import open_engine
-from amhe_cli.estimation.offline.clips import clip_name, split_held_out, whole
+from amhe_cli.estimation.offline.clips import clip_name, split_held_out, too_few, whole
 from amhe_cli.system.system import System
 from amhe_cli.view.ghosts import Candidate, Take, Viewing, viewing
 from amhe_cli.view.page import Heading, ghost_data, parameter_rows, saved_page, strip_data
@@ -204,8 +204,9 @@ def _parts(
         fit, held = [whole(log) for log in logs], [whole(log) for log in held_out]
     else:
         fit, held = split_held_out(logs, system.settings.clips)
+    refitted = not held_out and too_few(logs, system.settings.clips)  # held out of a first fit only
     yield from ((window, False) for window in fit)
-    yield from ((window, True) for window in held)
+    yield from ((window, not refitted) for window in held)
 
 
 def _notes(found: Viewing) -> Iterator[str]:

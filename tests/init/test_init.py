@@ -460,6 +460,20 @@ def test_a_casters_friction_is_not_the_wheels_and_feet_are_one_parameter() -> No
     assert found["caster_friction"]["nominal"] == 0.01
 
 
+def test_of_a_body_with_several_surfaces_the_one_that_it_stands_on_counts() -> None:
+    spec = mujoco.MjSpec.from_string(
+        """<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1" friction="0.9 0.005 0.0001"/>
+        <body name="base" pos="0 0 0.1"><freejoint/><geom name="chassis" type="box" size="0.2 0.1 0.04"/>
+        <geom name="caster" size="0.03" pos="0 0 -0.07" friction="0.02 0.001 0.0001"/></body>
+        </worldbody></mujoco>"""
+    )
+    signals = [Guess("base", {"topic": "/base", "body": "base"}, "")]
+    found = {guess.name: guess.entry for guess in guess_parameters(spec, spec.compile(), signals, False)}
+    assert [name for name in found if "friction" in name] == ["friction"]
+    assert found["friction"]["nominal"] == 0.9  # MuJoCo takes the larger one of both geoms
+    assert {"geom": "caster", "set": "sliding_friction"} in found["friction"]["targets"]
+
+
 def test_pairs_alike_are_one_parameter() -> None:
     feet = "".join(f"<body><freejoint/><geom name='{side}_foot' size='0.1'/></body>" for side in ("FL", "RR"))
     spec = mujoco.MjSpec.from_string(

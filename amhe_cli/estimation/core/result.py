@@ -263,13 +263,17 @@ class Fit:
 
 @dataclass(frozen=True, slots=True)
 class ClipCount:
-    """How many clips were used and why others were not; of long logs some stand for all (`thinned`)."""
+    """How many clips were used and why others were not; of long logs some stand for all (`thinned`).
+
+    `refitted`: the logs are short, so the held-out clips judged a first fit, and the values fit them too.
+    """
 
     fitted: int
     held_out: int
     motionless: int
     across_gaps: int
     thinned: int = 0
+    refitted: bool = False
 
     @property
     def fitted_of(self) -> str:

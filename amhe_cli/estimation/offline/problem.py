@@ -28,6 +28,7 @@ from amhe_cli.estimation.offline.clips import ClipPool, evenly, of_each_kind
 from amhe_cli.matching.cost import MatchingCost, Residuals
 from amhe_cli.matching.starts import first_index
 from amhe_cli.system.parameters.contacts import geom_name, needed_contacts
+from amhe_cli.system.parameters.inertia import PSEUDO_NAMES
 from amhe_cli.system.system import System
 
 #: A parameter whose step of half a prior sd moves no measurement by this many noise sd is out of reach.
@@ -332,7 +333,7 @@ class Problem:
             parameter = self.system.space.parameters[column]
             name = parameter.name
             reasons[name] = "no measurement in these logs depends on it"
-            if far:
+            if far and name.rpartition(".")[2] not in PSEUDO_NAMES:
                 reasons[name] += (
                     " near its nominal value, but at its bounds one does: give a nominal value of the right "
                     "size, or a wider prior"

@@ -195,7 +195,7 @@ def _joints(
     speed: FloatArray,
     missed: Mapping[int, SpanError | None],
 ) -> Iterator[str]:
-    """'elbow: friction known to 4 %, inertia in 3 of 10 combinations, torque misses 0.3 N m'."""
+    """'elbow: friction known to 4 %, inertia in 3 of 10 combinations, torque error 0.3 N m (1.2 before)'."""
     places = {name: i for i, name in enumerate(system.space.names)}
     reached = [
         (places[name], cells.field, int(cells.row))
@@ -209,7 +209,7 @@ def _joints(
         parts = []
         if rubs:
             share = _friction(system, z, covariance, rubs, dof, float(speed[dof]))
-            parts.append(f"friction known to {share:.0%}" if share < 1.0 else "friction not known")
+            parts.append(f"friction known to {100.0 * share:.2g} %" if share < 1.0 else "friction not known")
         if inert:
             values = np.linalg.eigvalsh(covariance[np.ix_(inert, inert)])
             count = int((values < _KNOWN**2).sum())

@@ -6,7 +6,7 @@ through plain motors. What other actuators were told is of no concern.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import mujoco
@@ -84,6 +84,15 @@ def unpowered(wiring: Wiring, model: mujoco.MjModel) -> list[int]:
         if model.actuator_trntype[row] == _AT_JOINT
         and int(model.jnt_dofadr[model.actuator_trnid[row, 0]]) in given
     ]
+
+
+def unpowered_text(actuators: Sequence[str]) -> str:
+    """What is said of such actuators."""
+    several = len(actuators) > 1
+    return (
+        f"actuator{'s' * several} {', '.join(actuators)} {'are' if several else 'is'} off: nothing commands "
+        f"{'them' if several else 'it'}, and what drove the joint{'s' * several} was measured"
+    )
 
 
 def _acted_on(channel: Channel, model: mujoco.MjModel) -> tuple[int, ...] | None:

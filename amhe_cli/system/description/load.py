@@ -17,7 +17,7 @@ from amhe_cli.core.settings import Settings
 from amhe_cli.core.yaml_file import Place, YamlFile, merged
 from amhe_cli.system.description.cautions import caution
 from amhe_cli.system.description.data import SystemData
-from amhe_cli.system.description.efforts import matching_efforts, unpowered, windowed
+from amhe_cli.system.description.efforts import matching_efforts, unpowered, unpowered_text, windowed
 from amhe_cli.system.description.folders import FILE_NAME, find_system
 from amhe_cli.system.description.parameters import generalise, unknowns_of
 from amhe_cli.system.description.schema import Description, SystemEntry, robot_groups, validated
@@ -186,9 +186,7 @@ def _built(
             why = "it starts each clip at zero; give one, or a keyframe"
             logger.warning(f"{where}: no signal gives the state of joint {', '.join(joints)}: {why}")
         if off:
-            actuators = ", ".join(base.actuator(row).name or f"number {row}" for row in off)
-            why = "off, since nothing commands them and the forces at their joints are given"
-            logger.log(NOTE, f"{where}: {why}: {actuators}")
+            logger.log(NOTE, unpowered_text([base.actuator(row).name or f"number {row}" for row in off]))
     return SystemData(
         name=name,
         folder=folder,
