@@ -29,7 +29,7 @@ _CURES = {
     "range": "look for degrees taken for radians, or for another zero",
     "overlap": "exclude the pair, or mend the shapes or the home pose",
     "still": "move it: `amhe probe` writes an excitation",
-    "gaps": "pauses between runs do no harm, as no clip crosses them; else record without, or loosen `logs.max_gap`",
+    "gaps": "pauses between runs do no harm; else record without silences, or loosen `logs.max_gap`",
     "saturated": "then its gain cannot be determined: command smaller steps, or is the gain wrong?",
     "contact": "record without contact, or exclude the pair if they do not touch on the robot",
 }

@@ -162,7 +162,7 @@ def _frictions(model: mujoco.MjModel, signals: Sequence[Guess]) -> Iterator[Gues
 
 
 def _standing(model: mujoco.MjModel, geoms: IntArray) -> tuple[str, tuple[int, float]]:
-    """Priority and friction of a body's geoms; where these differ and have names, the lowest one's, and it."""
+    """Priority and friction of a body's geoms; where these differ, of the lowest one, and its name."""
     ranks = {int(row): (int(model.geom_priority[row]), float(model.geom_friction[row, 0])) for row in geoms}
     if len(set(ranks.values())) == 1 or not all(model.geom(row).name for row in ranks):
         return "", max(ranks.values())

@@ -168,9 +168,7 @@ def _page(found: Audit, model: Path, record: Mapping[str, Any], origin: Mapping[
         )
         for line in wrong[: numbers.MOST_NAMES]
     ]
-    statements += [
-        Statement("bad", f"{text[0].upper()}{text[1:]}.".replace("`", "")) for text in _against(found.found)
-    ]
+    statements += [Statement("bad", f"{text[0].upper()}{text[1:]}.") for text in _against(found.found)]
     sections = [
         Section(
             "The numbers of the file",

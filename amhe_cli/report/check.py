@@ -134,7 +134,7 @@ def check_page(
         sections += [
             Section(
                 "What a fit will say",
-                text=f"From slopes near the estimate of a few clips. {_time(hope)}.".replace("`", ""),
+                text=f"From slopes near the estimate of a few clips. {_time(hope)}.",
                 table=_expected_table(hope),
             ),
         ]
@@ -188,7 +188,7 @@ def _expected_table(hope: Expected) -> Table:
         for p, prior in zip(hope.lines, priors, strict=True)
     ]
     looks = ("name", VERDICT, NUMBER, NUMBER)
-    remarks = [_why(hope, p).replace("`", "") for p in hope.lines]
+    remarks = [_why(hope, p) for p in hope.lines]
     return Table(("parameter", "verdict", "expected sd", "prior"), looks, rows, remarks)
 
 

@@ -7,8 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
+from markupsafe import Markup
 
 from amhe_cli.core.belief import Belief
 from amhe_cli.core.files import json_text, plain
@@ -120,7 +122,9 @@ def _page(compared: Compared, record: Mapping[str, Any], provenance: Mapping[str
         ),
         headline=headline if settled else "No model is called better: a search did not end.",
         statements=[
-            Statement("mixed" if "cannot tell" in text or not settled else "good", f"{text}.")
+            Statement(
+                "mixed" if "cannot tell" in text or not settled else "good", f"{text[0].upper()}{text[1:]}."
+            )
             for text in verdicts
         ],
         sections=[
@@ -137,7 +141,6 @@ def _page(compared: Compared, record: Mapping[str, Any], provenance: Mapping[str
             *([Section("Each joint", table=_joint_table(names, horizons))] * (len(horizons[0].errors) > 1)),
             Section(
                 "What was identified",
-                text="The folder beside this page that is called as the model has its whole report.",
                 table=_model_table(names, compared.found),
             ),
         ],
@@ -159,9 +162,10 @@ def _model_table(names: Sequence[str], found: Sequence[Identification]) -> Table
     for name, one in zip(names, found, strict=True):
         known = sum(p.verdict == "identified" for p in one.parameters)
         cost = numbers.MISSING if one.held_out is None else f"{one.held_out.cost:.3g}"
-        rows.append((name, f"{len(one.parameters)}", f"{known}", cost))
-    head = ("model", "parameters", "identified", "held-out cost")
-    return Table(head, ("name", NUMBER, NUMBER, STRONG), rows)
+        link = Markup('<a href="{0}/report.html">report</a>').format(quote(name))
+        rows.append((name, f"{len(one.parameters)}", f"{known}", cost, link))
+    head = ("model", "parameters", "identified", "held-out cost", "")
+    return Table(head, ("name", NUMBER, NUMBER, STRONG, ""), rows)
 
 
 def heads(horizons: Sequence[AtHorizon]) -> list[str]:

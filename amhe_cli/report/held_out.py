@@ -31,23 +31,21 @@ def held_out_statement(held_out: HeldOut | None) -> Iterator[Statement]:
     clips = (
         f"{held_out.clips} clips that were not fitted" if held_out.clips > 1 else "a clip that was not fitted"
     )
-    costs = f"from {held_out.initial_cost:.3g} to {held_out.cost:.3g}"
-    costs += "" if _along(held_out) else " from recorded first states"
+    costs = f"{held_out.initial_cost:.3g} → {held_out.cost:.3g}"
     falls = held_out.cost < held_out.initial_cost
     if math.isfinite(held_out.fitted_cost):
-        costs += (
-            f", and from {held_out.initial_fitted_cost:.3g} to {held_out.fitted_cost:.3g} from fitted ones"
-        )
+        first = f"{held_out.initial_fitted_cost:.3g} → {held_out.fitted_cost:.3g}"
+        costs += f" (with first states fitted {first})"
         falls |= held_out.fitted_cost < held_out.initial_fitted_cost
     if falls:
-        errors = [f"the mean {name} from {before} to {after}" for name, before, after in error_rows(held_out)]
+        errors = [f"mean {name} {before} → {after}" for name, before, after in error_rows(held_out)]
         more = f", and {len(errors) - _SAID} more" if len(errors) > _SAID else ""
-        told = ", ".join([f"On {clips} the cost goes {costs}", *errors[:_SAID]])
+        told = ", ".join([f"On {clips}: cost {costs}", *errors[:_SAID]])
         yield Statement("good", f"{told}{more}.", "held-out" if more else "")
     else:
         yield Statement(
             "mixed",
-            f"On {clips} the cost does not fall ({costs}): the values do not predict unseen data better "
+            f"On {clips} the cost does not fall (cost {costs}): the values do not predict unseen data better "
             "than those before.",
         )
 
@@ -147,11 +145,6 @@ def sized(value: float, unit: str) -> str:
     if unit == "rad":
         return numbers.angle(value)
     return numbers.length(value) if unit == "m" else numbers.quantity(f"{value:.3g}", unit)
-
-
-def _along(held_out: HeldOut) -> bool:
-    """Whether efforts along the measured motion were compared: there are no first states."""
-    return any(_EFFORT in one.channel for one in held_out.errors)
 
 
 def error_rows(held_out: HeldOut) -> list[tuple[str, str, str]]:

@@ -192,7 +192,7 @@ def print_identification(
         console.print(f"known together: {c.text} to {numbers.percent(c.sd)}")
     for text in result.determined:
         console.print(text)
-    console.print(f"held-out: {held_out_line(result.held_out)}")
+    console.print(f"held-out: {held_out_line(result.held_out, not result.determined)}")
     if misfit := misfit_text(result):
         console.print(f"{misfit}: {THUMB}")
     if result.missing:
@@ -278,8 +278,8 @@ def truth_line(result: Identification, truth: Mapping[str, float]) -> str:
     return f"true values in the logs: {values}; {verdict}"
 
 
-def held_out_line(held_out: HeldOut | None) -> str:
-    """The held-out errors in words: '6 clips: cost 12.3 -> 1.04, position error 42 mm -> 9 mm'."""
+def held_out_line(held_out: HeldOut | None, errors: bool = True) -> str:
+    """The held-out cost and `errors` in words: '6 clips: cost 12.3 -> 1.04, position error 42 mm -> 9 mm'."""
     if held_out is None:
         return "nothing was held out, so the fit is not validated"
     parts = [f"cost {held_out.initial_cost:.3g} -> {held_out.cost:.3g}"]
@@ -287,5 +287,5 @@ def held_out_line(held_out: HeldOut | None) -> str:
         parts[0] += (
             f" (with first states fitted {held_out.initial_fitted_cost:.3g} -> {held_out.fitted_cost:.3g})"
         )
-    parts += [f"{name} {before} -> {after}" for name, before, after in error_rows(held_out)]
+    parts += [f"{name} {before} -> {after}" for name, before, after in error_rows(held_out) if errors]
     return f"{held_out.clips} clip{'s' * (held_out.clips != 1)}: {', '.join(parts)}"

@@ -304,9 +304,7 @@ def overlay_section(fits: Sequence[Fit], seen: Beside = ALONE, refitted: bool = 
         text=named(first),
         figure=seen.strip
         + figures.fit_figure(first, large=True)
-        + Markup("").join(
-            Markup("<p>{}</p>").format(named(own)) + figures.fit_figure(own) for own in others
-        ),
+        + Markup("").join(Markup("<p>{}</p>").format(named(own)) + figures.fit_figure(own) for own in others),
     )
 
 

@@ -119,10 +119,11 @@ def budget_section(parameters: Sequence[ParameterResult]) -> Section:
     ]
     head = ("parameter", "sd", "variance", "", "with twice the prior's sd")
     kinds = [kind for kind in KINDS if any(kind == name for shares in shown for name, _ in shares)]
-    meanings = "; ".join(f"{kind}: {KINDS[kind]}" for kind in kinds)
+    key = Markup('<i class="key" style="--c:var(--{})"></i>{}: {}').format
+    meanings = Markup("; ").join(key(_COLORS[kind], kind, KINDS[kind]) for kind in kinds)
     return Section(
         "Where each interval comes from",
-        text=f"{meanings}. The last column says how far the estimate would move.",
+        text=meanings + ". The last column says how far the estimate would move.",
         table=Table(head, ("name", STRONG, "", "soft", NUMBER), rows),
         folded=True,
     )

@@ -161,10 +161,11 @@ def _sections(log: Path, system: System, record: Mapping[str, Any]) -> Iterator[
     yield Section("Motions", table=Table(("motion", "start [s]", "lasts [s]", ""), looks, rows))
     if tried := record.get("tried"):
         most = max(one["sd_over_prior"] for one in tried)
-        chosen = {part["name"] for part in record["sequence"]}
+        chosen, of_plain = {part["name"] for part in record["sequence"]}, record["plain_title"]
+        plain = " (plain motion, to compare with)"
         rows = [
             (
-                f"{one['name']}{' (chosen)' * (one['name'] in chosen)}",
+                f"{one['name']}{' (chosen)' * (one['name'] in chosen)}{plain * (one['name'] == of_plain)}",
                 cell("bar", one["sd_over_prior"] / most, numbers.percent(one["sd_over_prior"]), long=True),
             )
             for one in sorted(tried, key=lambda one: one["sd_over_prior"])

@@ -105,7 +105,7 @@ def replay_page(
         provenance,
         title=record["system"],
         facts=(
-            record["log"],
+            Path(record["log"]).name,
             f"{record['method']}, window {settings['window']:g} s, "
             f"update every {settings['update_period']:g} s",
             f"{record['rollouts']['count']:,} rollouts",
@@ -177,7 +177,7 @@ def windows_line(record: Mapping[str, Any]) -> str:
 
 def parameter_table(record: Mapping[str, Any]) -> Table:
     """The final estimates; with truth and coverage where the log has true values."""
-    head = ("parameter", "estimate ± sd", "unit", "90 % interval", "start", "truth", "coverage")
+    head = ("parameter", "estimate ± sd", "unit", "90 % interval", "before", "truth", "coverage")
     looks = ("name", STRONG, "unit", NUMBER, f"{NUMBER} soft", NUMBER, NUMBER)
     rows = [
         (

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 from base64 import b64encode
 from functools import cache
 from hashlib import sha256
 from typing import Any
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from amhe_cli.core.errors import printable
 from amhe_cli.core.files import plain
@@ -33,7 +34,17 @@ def template(name: str) -> Any:
         lstrip_blocks=True,
     )
     environment.filters["digest"] = script_digest
+    environment.filters["said"] = said
     return environment.get_template(name)
+
+
+def said(text: str | Markup) -> Markup:
+    """A sentence as HTML: `words` between backticks are code."""
+    if isinstance(text, Markup):
+        return text
+    parts = re.split(r"`([^`]+)`", printable(text, keep="\n"))
+    code = Markup("<code>{}</code>").format
+    return Markup("").join(code(part) if i % 2 else escape(part) for i, part in enumerate(parts))
 
 
 def script_digest(script: str) -> str:

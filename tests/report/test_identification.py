@@ -372,8 +372,27 @@ def test_words_warn_when_validation_does_not_improve() -> None:
     text = stated(identification(held_out=HeldOut(3, 2.0, 1.9, nan, nan, nan, nan)))
     assert "do not predict unseen data better" in text
     good = stated(identification(held_out=HeldOut(1, 1.0, 9.0, 0.009, 0.042, 0.02, 0.3)))
-    assert "On a clip that was not fitted the cost goes from 9 to 1 from recorded first states" in good
-    assert "the mean position error from 42 mm to 9 mm" in good
+    assert "On a clip that was not fitted: cost 9 → 1, mean position error 42 mm → 9 mm" in good
+
+
+def test_a_short_log_says_of_which_fit_its_curves_are() -> None:
+    short = replace(ClipCount(18, 6, 0, 0), refitted=True)
+    found = page(identification(clips=short))
+    assert "held-out clips judged a fit without them, and the values here fit them too" in found
+    assert "swing.mcap 20.00-21.50 s, curves of a first fit, without this clip." in found
+    assert "not fitted." not in found and "6 held out of a first fit" in found
+
+
+def test_a_value_at_its_bound_has_a_next_step_and_no_use(tmp_path: Path) -> None:
+    found = identification()
+    stuck = Reason("bound", ("damping",), 1.0, "it stops at its upper bound 0.2: the data want more")
+    weak = [replace(p, verdict="weak", reasons=(stuck,)) for p in found.parameters]
+    steps = next_steps(replace(found, parameters=tuple(weak)), tmp_path, view=True)
+    (tmp_path / "system").mkdir()
+    assert "in system.yaml, if they may be wrong, then: amhe identify LOG --system FOLDER" in steps[1]
+    assert [step.partition(":")[0] for step in steps] == ["look", "mend"]
+    steps = next_steps(replace(found, parameters=tuple(weak)), tmp_path, view=True)
+    assert f"{tmp_path}/system/system.yaml" in steps[1]
 
 
 def test_only_what_is_known_better_than_its_parts_is_called_known() -> None:

@@ -162,7 +162,7 @@ class Recipe:
     def title(self) -> str:
         """What it is, in words."""
         shares = ", ".join(f"{share:.0%}" for share in self.share)
-        return f"within the limits of joints, speed and force ({shares} of the leeway)"
+        return f"it uses {shares} of what the limits of joints, speed and force allow"
 
     def smaller(self, joint: int | None) -> Recipe | None:
         """The same with less of a joint's motion, or of all joints'; None where there is nothing less."""

@@ -216,7 +216,7 @@ def _joints(
             several = f"inertia in {count} of {len(inert)} combinations" if count else "inertia as given"
             parts.append("inertia known" if count == len(inert) else several)
         if (error := missed[dof]) is not None:
-            parts.append(f"torque misses {error.identified:.2g} {unit} ({error.initial:.2g} before)")
+            parts.append(f"torque error {error.identified:.2g} {unit} ({error.initial:.2g} before)")
         if parts:
             yield f"{one.name}: {', '.join(parts)}"
 

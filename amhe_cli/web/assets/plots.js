@@ -138,7 +138,8 @@ class Panel {
       else d += `${broken ? "M" : "L"}${at(i, y)}`;
       broken = false;
     }
-    parts.push(drawn("path", { class: shape, style, d: shape === "area" ? `${d}Z` : d }));
+    const few = shape === "dots" && x.length < 12;  // a few stand alone: they must be seen
+    parts.push(drawn("path", { class: few ? "dots few" : shape, style, d: shape === "area" ? `${d}Z` : d }));
     return parts;
   }
   handle() {
