@@ -275,9 +275,9 @@ def next_steps(result: Identification, folder: str | Path, view: bool) -> list[s
     mend = [f"mend: amhe identify with --repair tries {numbers.some(names)}"] if names else []
     if stuck := [p.name for p in result.parameters if any(one.kind == "bound" for one in p.reasons)]:
         own = Path(folder) / "system"
-        file, system = (f"{quoted}/system/system.yaml", own) if own.exists() else ("system.yaml", "FOLDER")
-        wide = f"widen the bounds of {numbers.some(stuck)} in {file}, if they may be wrong"
-        mend.append(f"mend: {wide}, then: amhe identify LOG --system {shlex.quote(str(system))}")
+        system = shlex.quote(str(own)) if own.exists() else "FOLDER"
+        wide = f"widen the bounds of {numbers.some(stuck)} in {system}/system.yaml, if they may be wrong"
+        mend.append(f"mend: {wide}, then: " + f"amhe identify LOG --system {system}")
     if result.unexplained or not any(p.verdict in ("identified", "conditional") for p in result.lines):
         return [look, *mend]
     use = f"use: {quoted}/identified.xml", f"randomise: amhe export --to mjlab {quoted}/belief.yaml"

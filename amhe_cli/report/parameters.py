@@ -119,8 +119,7 @@ def budget_section(parameters: Sequence[ParameterResult]) -> Section:
     ]
     head = ("parameter", "sd", "variance", "", "with twice the prior's sd")
     kinds = [kind for kind in KINDS if any(kind == name for shares in shown for name, _ in shares)]
-    key = Markup('<i class="key" style="--c:var(--{})"></i>{}: {}').format
-    meanings = Markup("; ").join(key(_COLORS[kind], kind, KINDS[kind]) for kind in kinds)
+    meanings = Markup("; ").join(cell("key", f"{kind}: {KINDS[kind]}", _COLORS[kind]) for kind in kinds)
     return Section(
         "Where each interval comes from",
         text=meanings + ". The last column says how far the estimate would move.",

@@ -389,7 +389,7 @@ def test_a_value_at_its_bound_has_a_next_step_and_no_use(tmp_path: Path) -> None
     weak = [replace(p, verdict="weak", reasons=(stuck,)) for p in found.parameters]
     steps = next_steps(replace(found, parameters=tuple(weak)), tmp_path, view=True)
     (tmp_path / "system").mkdir()
-    assert "in system.yaml, if they may be wrong, then: amhe identify LOG --system FOLDER" in steps[1]
+    assert "in FOLDER/system.yaml, if they may be wrong, then: amhe identify LOG --system FOLDER" in steps[1]
     assert [step.partition(":")[0] for step in steps] == ["look", "mend"]
     steps = next_steps(replace(found, parameters=tuple(weak)), tmp_path, view=True)
     assert f"{tmp_path}/system/system.yaml" in steps[1]
