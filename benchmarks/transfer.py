@@ -223,7 +223,7 @@ def run_cell(cell: Cell, robot: dict[str, Any] | None) -> dict[str, Any]:
         **{key: _short(record[key]) for key in kept},
         **_learnt(history),
         "miss": _short(history.miss),
-        "warned": any("identify the robot first" in trouble for trouble in history.troubles),
+        "warned": any("docs/tasks.md" in trouble for trouble in history.troubles),
         "cpu_s": round(time.process_time() - begun, 1),
     }
 
