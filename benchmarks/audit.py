@@ -1,6 +1,6 @@
 """`amhe audit` on simulated robots whose model files have spoilt numbers: which are found, and at what cost.
 
-    python benchmarks/audit.py [--seeds 10] [--jobs 2] [--robots arm3 torque7 ...] [--seconds 60]
+    python benchmarks/audit.py [--seeds 10] [--jobs 2] [--robots arm3 torque7 ...] [--seconds 60] [--part 1/3]
 
 A robot's own numbers are drawn from what its data sheets leave open. Its file has those of the data sheets,
 but for 1 to 4 that are spoilt: a mass times 0.5, 2 or 3, a damping times 10, no armature, a centre of mass
@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import functools
-import json
 import logging
 import tempfile
 import time
@@ -27,7 +26,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from common import PROJECT, over_seeds, seeds_of, show
+from common import PROJECT, add_parts, in_parts, seeds_of, show
 from effort import TORQUE, arm, motion
 
 from amhe_cli.audit.audit import audit
@@ -163,9 +162,11 @@ def written(model: mujoco.MjModel, spec: mujoco.MjSpec, claims: list[Claim], val
     return identified_xml(system, theta)
 
 
-def trial(seed: int, robot: str, seconds: float) -> dict[str, Any]:
+def trial(number: int, robots: list[str], seconds: float) -> dict[str, Any]:
     """Spoil a file, record its robot, and audit it."""
     logging.disable(logging.WARNING)
+    seed, place = divmod(number, len(robots))
+    robot = robots[place]
     rng = np.random.default_rng([seed, len(robot)])
     spec = spec_of(robot)
     model = spec.compile()
@@ -213,15 +214,13 @@ def trial(seed: int, robot: str, seconds: float) -> dict[str, Any]:
         for line in found.lines
         if line.verdict == "contradicted" and line.parameter not in wrong
     ]
-    result = {
-        "robot": robot,
+    return {
+        "robot": Path(robot).stem,
         "wrong": {n: [v, float(drawn[n]), said[n].log, said[n].sd] for n, v in wrong.items()},
         "told": told, "hit": hit, "false": false, "cpu_seconds": spent, "numbers": len(found.lines),
         "missed": list(found.found.unexplained),
-        "right": [line.t for name, line in said.items() if name not in wrong and line.sd < abs(line.file)],
+        "right": [round(one.t, 2) for name, one in said.items() if name not in wrong and one.sd < abs(one.file)],
     }  # fmt: skip
-    print(json.dumps({key: value for key, value in result.items() if key != "right"}), flush=True)
-    return result
 
 
 def save(path: Path, names: list[str], table: FloatArray) -> None:
@@ -234,14 +233,15 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--robots", nargs="+", default=["arm3", "pendulum", "torque7"])
+    add_parts(parser)
     options = parser.parse_args()
-    rows, every = [], []
-    for robot in options.robots:
-        one = functools.partial(trial, robot=robot, seconds=options.seconds)
-        some = over_seeds(f"audit-{Path(robot).stem}-{options.seconds:g}", one, options.seeds, options.jobs)
-        rows.append(row(Path(robot).stem, some))
-        every += some
-    rows.append(row("all", every))
+    one = functools.partial(trial, robots=options.robots, seconds=options.seconds)
+    numbers = [seed * len(options.robots) + i for seed in options.seeds for i in range(len(options.robots))]
+    of = "-".join(Path(robot).stem for robot in options.robots)
+    done = in_parts(f"audit-{of}-{options.seconds:g}", one, numbers, options)
+    robots = dict.fromkeys(one["robot"] for one in done)
+    rows = [row(robot, [one for one in done if one["robot"] == robot]) for robot in robots]
+    rows.append(row("all", done))
     show(
         "Spoilt numbers of model files",
         (

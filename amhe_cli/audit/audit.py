@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -10,36 +10,28 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.audit.claims import Claim, Group, claims_of, doubts_of
-from amhe_cli.audit.judge import Findings, Sheets, contradicted, judged, wrong_sheets
+from amhe_cli.audit.judge import Findings, Said, chances, contradicted, judged, wrong_sheets
+from amhe_cli.audit.suspects import Explanation, Searched, findings_of, rows_of, sheets_of, without_suspects
 from amhe_cli.audit.weight import anywhere, weights
 from amhe_cli.check.motion import states_along
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.errors import ConfigError, EstimationError, LogError
 from amhe_cli.core.log import Log
-from amhe_cli.core.parameters import ParameterSpace, theta_of
+from amhe_cli.core.parameters import theta_of
 from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.core.statistics import correlation
 from amhe_cli.core.yaml_file import merged
 from amhe_cli.estimation.conclude import Search
 from amhe_cli.estimation.core.result import Identification, Iteration
 from amhe_cli.estimation.identification import IdentifyOptions, concluded, searched_for
-from amhe_cli.estimation.offline.search import SearchState
-from amhe_cli.estimation.uncertainty.misfit import unexplained
 from amhe_cli.init.folder import Proposal
 from amhe_cli.system.system import System
 
-#: Searches until no more number stands out, at most.
-_ROUNDS = 8
 #: Clips of the searches where motions are matched, and their length [s]: many short ones, along which even
 #: wrong numbers do not lead far away, show what is far off, and some of the usual length by how much.
 _CLIPS = ((16, 0.3), (12, None))
 #: The same where what is slow stands still in the short ones.
 _SLOW = 5
-#: Where a data sheet may be wrong by more than slopes show, in units of `Claim.wide`, and the share by which
-#: the cost must fall there.
-_FAR, _FALLS = (-2.0, -1.0, 1.0, 2.0), 0.1
-#: Share by which the cost may rise, by chance, where more is left open.
-_RISES = 1e-3
 #: Correlation from which two numbers are known only together.
 _TOGETHER = 0.7
 
@@ -142,12 +134,13 @@ def audit(
         return searched_for(system, logs, None, options, progress, quick=True, near=near, clips=clips)
 
     # rollouts of all clips take their time, and data sheets are held against what some of them say
-    search, wrong = None, frozenset[Group]()
+    search, wrong, again = None, frozenset[Group](), partial(searched, None, None)
     for clips, length in ((None, None),) if proposal.match == "effort" else _CLIPS:
         if search is not None and search.watch.interrupted:
             break
+        again = partial(searched, clips, length)
         try:
-            search, wrong = _without_suspects(partial(searched, clips, length), claims, wrong, search)
+            search, wrong = without_suspects(again, claims, wrong, search)
         except KeyboardInterrupt:
             if search is None:
                 raise
@@ -155,11 +148,69 @@ def audit(
         except EstimationError:
             if length is None:
                 raise
-            search, wrong = _without_suspects(partial(searched, _SLOW, None), claims, wrong, search)
+            again = partial(searched, _SLOW, None)
+            search, wrong = without_suspects(again, claims, wrong, search)
     assert search is not None
-    found, system = concluded(search, quick=True), search.problem.system
-    lines = _lines(system, found, claims, wrong, logs)
+    found, judgement, at = _concluded(again, Explanation(search, wrong, claims))
+    system = at.search.problem.system
+    lines = _lines(system, found, claims, judgement, logs)
     return Audit(tuple(lines), system, found, tuple(claims), proposal)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Judgement:
+    """Evidence of the best explanation, and of k claims what the logs say and the chances (k,)."""
+
+    evidence: Findings
+    said: Said
+    chance: FloatArray
+
+
+def _concluded(searched: Searched, first: Explanation) -> tuple[Identification, _Judgement, Explanation]:
+    """The best explanation, and its claims judged: what it contradicts has been believed once."""
+    others, tested = list[Explanation](), set[Group]()
+    found = concluded(first.search, quick=True)
+    judgement = _judgement(found, first, others, tested)
+    try:
+        while not _unjudged(found):
+            far = chances(judgement.said.t)
+            some = zip(first.claims, far, contradicted(far), strict=True)
+            left = {claim.group: one for claim, one, wrong in some if wrong and claim.group not in tested}
+            if not left:
+                break
+            group = max(left, key=left.__getitem__)  # the first that something else may explain
+            tested.add(group)
+            if (other := first.rival(searched, group)) is not None:
+                others.append(other)
+                if other.likely > 0.0:  # the first is one of the others from now on
+                    others = [replace(one, likely=one.likely - other.likely) for one in (first, *others)]
+                    first = others.pop()
+                    found = concluded(first.search, quick=True)
+            judgement = _judgement(found, first, others, tested)
+    except KeyboardInterrupt:
+        found = replace(found, interrupted=True)
+    return found, judgement, first
+
+
+def _judgement(
+    found: Identification, first: Explanation, others: Sequence[Explanation], tested: Set[Group]
+) -> _Judgement:
+    """The test of each claim, over explanations by their evidence.
+
+    Whether a sheet that was `tested` is right, they say themselves, and not what is linear about them.
+    """
+    space = first.search.problem.system.space
+    at = space.phi_of(found.belief.estimate)
+    evidence = findings_of(space, at, found.unbounded, found.information, found.belief.covariance)
+    tests = []
+    for one, findings in ((first, evidence), *((other, other.evidence) for other in others)):
+        system = one.search.problem.system
+        sheets, rows = sheets_of(findings, system, one.claims), rows_of(system, one.claims)
+        sets = wrong_sheets(findings, sheets, one.wrong)
+        sets = {some: likely for some, likely in sets.items() if not (some ^ one.wrong) & tested}
+        tests.append(judged(findings, sheets, sets, rows, system.space.log[rows]))
+    share = np.exp([first.likely, *(other.likely for other in others)])
+    return _Judgement(evidence, tests[0][0], share @ np.array([chance for _, chance in tests]) / share.sum())
 
 
 def _assumed(settings: Mapping[str, Any]) -> AssumedSettings:
@@ -170,145 +221,28 @@ def _assumed(settings: Mapping[str, Any]) -> AssumedSettings:
         return AssumedSettings()
 
 
-def _without_suspects(
-    searched: Callable[[Collection[Group], Search | None], Search],
-    claims: Sequence[Claim],
-    wrong: frozenset[Group],
-    near: Search | None,
-) -> tuple[Search, frozenset[Group]]:
-    """The search that believes what its own linearisation calls right, and the data sheets that it does not.
-
-    A linearisation may err far from its minimum: where the cost rises with the sheets that it calls wrong,
-    one of them at a time is tried, and where it still rises, that one is believed.
-    """
-    search, refused, aside = searched(wrong, near), frozenset[Group](), frozenset[Group]()
-    tried = {wrong}
-    try:
-        for _ in range(0 if search.watch.interrupted else _ROUNDS):
-            evidence, begin = _sketched(search), search
-            sheets = _sheets(evidence, search.problem.system, claims)
-            sets = wrong_sheets(evidence, sheets, wrong)
-            if _straight(search):
-                likely = next(iter(sets)) - refused - aside
-            else:  # slopes that bend show where to go next, not how far: one sheet, and another linearisation
-                likely = next(one for one in sets if len(one ^ wrong) <= 1 and not one & refused)
-            if likely <= wrong and (far := _far_off(search, sheets, wrong | refused)):
-                (more, begin) = far
-                likely = wrong | {more}
-            new = likely - wrong
-            if likely not in tried:
-                tried.add(likely)
-                other = searched(likely, begin)
-                if other.watch.interrupted:
-                    raise KeyboardInterrupt
-                if _cost(other) <= (1.0 + _RISES) * _cost(search):
-                    search, wrong, refused, aside = other, likely, frozenset(), frozenset()
-                    continue
-            elif len(new) < 2:
-                break
-            if len(new) > 1:  # the strongest alone, then the others
-                aside |= new - {max(new, key=lambda name: sets[wrong | {name}])}
-            else:
-                refused, aside = refused | new, frozenset()
-    except KeyboardInterrupt:  # what was found so far is reported
-        search.watch.interrupted = True
-    return search, wrong
-
-
-def _sheets(evidence: Findings, system: System, claims: Sequence[Claim]) -> Sheets[Group]:
-    """The data sheets of the file; what it does not say is known by its prior."""
-    file, right = np.array(evidence.prior)
-    wide, least, groups = right.copy(), np.full(len(right), -np.inf), dict[Group, list[int]]()
-    for row, claim in zip(_rows(system, claims), claims, strict=True):
-        file[row], right[row], wide[row] = claim.phi(claim.value), claim.sd, claim.wide
-        least[row] = claim.least
-        groups.setdefault(claim.group, []).append(row)
-    return Sheets(groups, file, right, wide, least)
-
-
-def _cost(search: Search) -> float:
-    return search.finding.record[-1].cost if search.finding.record else np.inf
-
-
-def _evidence(
-    space: ParameterSpace, at: FloatArray, z: FloatArray, information: FloatArray, more: FloatArray
-) -> Findings:
-    """Findings on the parameters' scales: z (d,) of the logs linearised `at` phi (d,), and information."""
-    sd = np.array(space.prior_sd)
-    prior = np.array([space.phi_of(space.nominal), sd])
-    return Findings(prior[0] + sd * z, prior, information / np.outer(sd, sd), np.array(more), at)
-
-
-def _straight(search: Search) -> bool:
-    """Whether slopes are believed beyond where a search ended."""
-    return isinstance(search.finding, SearchState) and search.finding.straight
-
-
-def _sketched(search: Search) -> Findings:
-    """What a search says, without the checks of its conclusion; where slopes bend, it refused their step."""
-    space, posterior, z = search.problem.system.space, search.fit.posterior, search.fit.z
-    more = posterior.covariance * np.outer(space.prior_sd, space.prior_sd)
-    at = space.phi_of(space.theta_of(z))
-    return _evidence(
-        space, at, z + posterior.step * _straight(search), posterior.hessian - posterior.prior, more
-    )
-
-
-def _rows(system: System, claims: Iterable[Claim]) -> list[int]:
-    return [system.space.names.index(claim.parameter) for claim in claims]
-
-
-def _far_off(search: Search, sheets: Sheets[Group], known: Collection[Group]) -> tuple[Group, Search] | None:
-    """The group that is wrong by so much that no slope shows it, and the search to begin from there.
-
-    A servo whose file is fifty times too stiff feels the same if it is ten per cent softer. Where no value
-    near the file's explains the logs, each group is moved far away by itself; none is said where that does
-    not help.
-    """
-    problem, space, at = search.problem, search.problem.system.space, search.finding.z
-    if not unexplained(search.fit):
-        return None
-    step, numbers = sheets.wide / space.prior_sd, np.arange(len(at))
-    moved = [
-        (group, space.clip(at + far * step * np.isin(numbers, rows)))
-        for group, rows in sheets.groups.items()
-        if group not in known
-        for far in _FAR
-    ]
-    if not moved:
-        return None
-    costs = problem.cost(problem.clips, search.finding.scale).costs(np.stack((at, *(z for _, z in moved))))
-    best = int(np.argmin(costs[1:]))
-    if not costs[1 + best] < (1.0 - _FALLS) * costs[0]:
-        return None
-    group, z = moved[best]
-    return group, replace(search, finding=replace(search.finding, z=z, straight=False))
-
-
 def _lines(
     system: System,
     found: Identification,
     claims: Sequence[Claim],
-    doubted: frozenset[Group],
+    judgement: _Judgement,
     logs: Sequence[Log],
 ) -> list[Line]:
-    """The table, of a search that did not believe some data sheets."""
-    at = system.space.phi_of(found.belief.estimate)
-    evidence = _evidence(system.space, at, found.unbounded, found.information, found.belief.covariance)
-    rows, sheets = _rows(system, claims), _sheets(evidence, system, claims)
-    log, sheet, factor = system.space.log[rows], sheets.right[rows], np.array([c.factor for c in claims])
-    logged, chance = judged(evidence, sheets, wrong_sheets(evidence, sheets, doubted), rows, log)
+    """The table."""
+    logged, log = judgement.said, system.space.log[rows_of(system, claims)]
+    sheet, factor = np.array([[c.sd, c.factor] for c in claims]).T
     unjudged = _unjudged(found)
-    wrong = contradicted(chance) & (not unjudged)
+    wrong = contradicted(judgement.chance) & (not unjudged)
     value = factor * theta_of(log, logged.mean)
     sd = logged.sd * np.where(log, value, factor)
-    verdicts = verdicts_of(wrong, (logged.sd <= sheet) & (not unjudged))
+    doubtful = contradicted(chances(logged.t))  # something else may be wrong in its place
+    verdicts = verdicts_of(wrong, (logged.sd <= sheet) & ~doubtful & (not unjudged))
     weight = _weights(system, found, claims, wrong, logs)
     lines = [
         Line(
             c.number.of, c.number.what, c.number.unit, c.parameter, c.value, float(value[i]), float(sd[i]),
-            float(logged.t[i]), float(chance[i]), verdicts[i], weight[i],
-            unjudged or _cure(system, found, evidence, c) if verdicts[i] == VERDICTS[2] else "",
+            float(logged.t[i]), float(judgement.chance[i]), verdicts[i], weight[i],
+            unjudged or _cure(system, found, judgement.evidence, c) if verdicts[i] == VERDICTS[2] else "",
         )
         for i, c in enumerate(claims)
     ]  # fmt: skip

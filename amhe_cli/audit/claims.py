@@ -27,6 +27,8 @@ _SETTINGS = {"inertia": "mass", "actuator_damping": "gain"}
 #: A number that is left at zero is known to this share of what would stop a joint within a second, of what
 #: would take 1 rad/s^2 off it, or of its inertia.
 _ZERO = {"damping": 0.05, "friction_loss": 0.05, "armature": 0.01}
+#: Kind of number -> how a parameter sets it.
+_MODES = {"inertia": {"mode": "scale"}, "mass": {"carry_inertia": False}}
 #: Sd of a number whose data sheet is not believed: of its logarithm, of a length [m], and of one that was
 #: zero, in units of its own sd.
 WIDE, WIDE_LENGTH, WIDE_ZERO = 1.5, 0.15, 1000.0
@@ -79,7 +81,8 @@ class Claim:
 
     def guess(self, believed: bool) -> Guess:
         """The entry of a system file."""
-        target = self.number.target | ({"mode": "scale"} if self.number.kind == "inertia" else {})
+        # a mass leaves the inertia as it is: that is a number of its own
+        target = self.number.target | _MODES.get(self.number.kind, {})
         if self.log:
             bounds = [self.nominal / _RANGE, self.nominal * _RANGE]
         elif self.least:

@@ -52,7 +52,7 @@ K = TypeVar("K", bound=Hashable)
 #: Share of tables that may call a right number contradicted.
 RATE = 0.05
 #: Logarithm of the odds that a data sheet is right: one of twenty is wrong.
-_STRONG = 3.0
+ODDS = 3.0
 #: Sets of other wrong sheets under which a number is tested.
 _SETS = 4
 #: The least of a logarithm of odds that is worth a step: rounding leads nowhere.
@@ -180,7 +180,10 @@ class Sheets(Generic[K]):
 
 
 def wrong_sheets(
-    evidence: Findings, sheets: Sheets[K], begin: frozenset[K] = frozenset()
+    evidence: Findings,
+    sheets: Sheets[K],
+    begin: frozenset[K] = frozenset(),
+    right: frozenset[K] = frozenset(),
 ) -> dict[frozenset[K], float]:
     """Sets of data sheets that may be wrong -> logarithm of how likely each is, the likeliest first.
 
@@ -188,11 +191,12 @@ def wrong_sheets(
         evidence: What the logs say.
         sheets: The data sheets.
         begin: The set from which the search begins.
+        right: Sheets that are believed.
     """
     found = {begin: 0.0}
-    best = _climbed(evidence, sheets, found, begin, frozenset())
+    best = _climbed(evidence, sheets, found, begin, right)
     for name in best:  # what explains the logs if this one is right
-        _climbed(evidence, sheets, found, best - {name}, frozenset({name}))
+        _climbed(evidence, sheets, found, best - {name}, right | {name})
     return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
@@ -265,7 +269,7 @@ def _changed(
         spread = np.eye(len(at)) + more[:, None] * open_to[np.ix_(at, at)]
         u = left[at]
         gain = 0.5 * float(u @ np.linalg.solve(spread, more * u) - np.linalg.slogdet(spread)[1])
-        found[wrong ^ {name}] = gain + (_STRONG if back else -_STRONG)
+        found[wrong ^ {name}] = gain + (ODDS if back else -ODDS)
     return found
 
 

@@ -1,0 +1,226 @@
+"""Which data sheets are wrong? Searches with some of them left open, and what else explains the logs.
+
+A linear model of the logs says which sheets may be wrong, and the search goes on with these left open. It
+ends in one explanation, and there may be others where its slopes do not reach: a third of the mass, or of the
+lever. So each sheet that would be called wrong is believed once, with all others left open: the profile
+likelihood of the sheet. Where that explains the logs about as well, the fewest sheets that it needs are
+looked for from there, and both explanations count by their evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from amhe_cli.audit.claims import Claim, Group
+from amhe_cli.audit.judge import ODDS, Findings, Sheets, wrong_sheets
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.parameters import ParameterSpace
+from amhe_cli.estimation.conclude import Search
+from amhe_cli.estimation.offline.search import SearchState
+from amhe_cli.estimation.uncertainty.fit import FinalFit, scored
+from amhe_cli.estimation.uncertainty.misfit import unexplained
+from amhe_cli.system.system import System
+
+#: Searches until no more number stands out, at most.
+_ROUNDS = 8
+#: Where a data sheet may be wrong by more than slopes show, in units of `Claim.wide`, and the share by which
+#: the cost must fall there.
+_FAR, _FALLS = (-2.0, -1.0, 1.0, 2.0), 0.1
+#: Share by which the cost may rise, by chance, where more is left open.
+_RISES = 1e-3
+#: Logarithm of the odds of an explanation below which it changes no verdict.
+_HOPELESS = -10.0
+
+#: A search with some data sheets left open, from where another one ended.
+Searched = Callable[[Collection[Group], Search | None], Search]
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """Values that explain the logs, and the data sheets that are wrong then.
+
+    Args:
+        search: The search that found them.
+        wrong: The sheets that it left open.
+        claims: What the file says.
+        likely: Logarithm of its evidence over that of the first explanation.
+    """
+
+    search: Search
+    wrong: frozenset[Group]
+    claims: Sequence[Claim]
+    likely: float = 0.0
+
+    @cached_property
+    def evidence(self) -> Findings:
+        """What the logs say, as they look from there."""
+        return sketched(self.search)
+
+    @cached_property
+    def sheets(self) -> Sheets[Group]:
+        """The data sheets."""
+        return sheets_of(self.evidence, self.search.problem.system, self.claims)
+
+    def against(self, first: Explanation, least: bool = False) -> float:
+        """Logarithm of the odds to the first explanation, by Laplace's approximation of their evidence.
+
+        `least`: the most that they can be with these values, whatever sheets were wrong.
+        """
+        both = []
+        for one, sheets in ((self, frozenset() if least else self.wrong), (first, first.wrong)):
+            space, z = one.search.problem.system.space, one.search.finding.z
+            sd, off = one.sheets.sd(sheets), space.phi_of(space.theta_of(z)) - one.sheets.file
+            cost = _misfit(first.search.fit, space.theta_of(z))
+            if not (least and one is self):
+                cost += float(((off / sd) ** 2).sum()) + 2.0 * ODDS * len(sheets)
+            spread = np.eye(len(sd)) + sd[:, None] * first.evidence.information * sd
+            both.append(-0.5 * (cost + float(np.linalg.slogdet(spread)[1])))
+        return both[0] - both[1]
+
+    def rival(self, searched: Searched, right: Group) -> Explanation | None:
+        """What else explains the logs if one sheet is right; None where that is out of the question."""
+        at, believed = np.array(self.search.finding.z), frozenset({right})
+        rows = list(self.sheets.groups[right])
+        space = self.search.problem.system.space
+        at[rows] = ((self.sheets.file - space.phi_of(space.nominal)) / space.prior_sd)[rows]
+        near = replace(self.search, finding=replace(self.search.finding, z=space.clip(at), straight=False))
+        free = frozenset(self.sheets.groups) - believed
+        other = Explanation(searched(free, near), free, self.claims)
+        if other.against(self, least=True) < _HOPELESS:
+            return None
+        few = next(iter(wrong_sheets(other.evidence, other.sheets, right=believed)))
+        other = Explanation(
+            *without_suspects(searched, self.claims, few, other.search, believed), self.claims
+        )
+        likely = other.against(self)
+        return replace(other, likely=likely) if likely > _HOPELESS else None
+
+
+def _misfit(fit: FinalFit, theta: FloatArray) -> float:
+    """-2 log likelihood of values theta (d,), but for a constant, under the noise that a fit has left."""
+    problem, z = fit.problem, fit.space.z_of(theta)
+    each = scored(problem, fit.slopes.cost, z, fit.shape).misfit(fit.times)
+    return float(np.where(fit.weight > 0.0, each, 0.0) @ fit.weight)
+
+
+def without_suspects(
+    searched: Searched,
+    claims: Sequence[Claim],
+    wrong: frozenset[Group],
+    near: Search | None,
+    right: frozenset[Group] = frozenset(),
+) -> tuple[Search, frozenset[Group]]:
+    """The search that believes what its own linearisation calls right, and the data sheets that it does not.
+
+    The sheets `right` are believed, whatever it calls them.
+
+    A linearisation may err far from its minimum: where the cost rises with the sheets that it calls wrong,
+    one of them at a time is tried, and where it still rises, that one is believed.
+    """
+    search, refused, aside = searched(wrong, near), frozenset[Group](), frozenset[Group]()
+    tried = {wrong}
+    try:
+        for _ in range(0 if search.watch.interrupted else _ROUNDS):
+            evidence, begin = sketched(search), search
+            sheets = sheets_of(evidence, search.problem.system, claims)
+            sets = wrong_sheets(evidence, sheets, wrong, right)
+            if _straight(search):
+                likely = next(iter(sets)) - refused - aside
+            else:  # slopes that bend show where to go next, not how far: one sheet, and another linearisation
+                likely = next(one for one in sets if len(one ^ wrong) <= 1 and not one & refused)
+            if likely <= wrong and (far := _far_off(search, sheets, wrong | refused | right)):
+                (more, begin) = far
+                likely = wrong | {more}
+            new = likely - wrong
+            if likely not in tried:
+                tried.add(likely)
+                other = searched(likely, begin)
+                if other.watch.interrupted:
+                    raise KeyboardInterrupt
+                if _cost(other) <= (1.0 + _RISES) * _cost(search):
+                    search, wrong, refused, aside = other, likely, frozenset(), frozenset()
+                    continue
+            elif len(new) < 2:
+                break
+            if len(new) > 1:  # the strongest alone, then the others
+                aside |= new - {max(new, key=lambda name: sets[wrong | {name}])}
+            else:
+                refused, aside = refused | new, frozenset()
+    except KeyboardInterrupt:  # what was found so far is reported
+        search.watch.interrupted = True
+    return search, wrong
+
+
+def sheets_of(evidence: Findings, system: System, claims: Sequence[Claim]) -> Sheets[Group]:
+    """The data sheets of the file; what it does not say is known by its prior."""
+    file, right = np.array(evidence.prior)
+    wide, least, groups = right.copy(), np.full(len(right), -np.inf), dict[Group, list[int]]()
+    for row, claim in zip(rows_of(system, claims), claims, strict=True):
+        file[row], right[row], wide[row] = claim.phi(claim.value), claim.sd, claim.wide
+        least[row] = claim.least
+        groups.setdefault(claim.group, []).append(row)
+    return Sheets(groups, file, right, wide, least)
+
+
+def _cost(search: Search) -> float:
+    return search.finding.record[-1].cost if search.finding.record else np.inf
+
+
+def findings_of(
+    space: ParameterSpace, at: FloatArray, z: FloatArray, information: FloatArray, more: FloatArray
+) -> Findings:
+    """Findings on the parameters' scales: z (d,) of the logs linearised `at` phi (d,), and information."""
+    sd = np.array(space.prior_sd)
+    prior = np.array([space.phi_of(space.nominal), sd])
+    return Findings(prior[0] + sd * z, prior, information / np.outer(sd, sd), np.array(more), at)
+
+
+def _straight(search: Search) -> bool:
+    """Whether slopes are believed beyond where a search ended."""
+    return isinstance(search.finding, SearchState) and search.finding.straight
+
+
+def sketched(search: Search) -> Findings:
+    """What a search says, without the checks of its conclusion; where slopes bend, it refused their step."""
+    space, posterior, z = search.problem.system.space, search.fit.posterior, search.fit.z
+    more = posterior.covariance * np.outer(space.prior_sd, space.prior_sd)
+    at = space.phi_of(space.theta_of(z))
+    return findings_of(
+        space, at, z + posterior.step * _straight(search), posterior.hessian - posterior.prior, more
+    )
+
+
+def rows_of(system: System, claims: Iterable[Claim]) -> list[int]:
+    """Rows of claims among the unknowns."""
+    return [system.space.names.index(claim.parameter) for claim in claims]
+
+
+def _far_off(search: Search, sheets: Sheets[Group], known: Collection[Group]) -> tuple[Group, Search] | None:
+    """The group that is wrong by so much that no slope shows it, and the search to begin from there.
+
+    A servo whose file is fifty times too stiff feels the same if it is ten per cent softer. Where no value
+    near the file's explains the logs, each group is moved far away by itself; none is said where that does
+    not help.
+    """
+    problem, space, at = search.problem, search.problem.system.space, search.finding.z
+    if not unexplained(search.fit):
+        return None
+    step, numbers = sheets.wide / space.prior_sd, np.arange(len(at))
+    moved = [
+        (group, space.clip(at + far * step * np.isin(numbers, rows)))
+        for group, rows in sheets.groups.items()
+        if group not in known
+        for far in _FAR
+    ]
+    if not moved:
+        return None
+    costs = problem.cost(problem.clips, search.finding.scale).costs(np.stack((at, *(z for _, z in moved))))
+    best = int(np.argmin(costs[1:]))
+    if not costs[1 + best] < (1.0 - _FALLS) * costs[0]:
+        return None
+    group, z = moved[best]
+    return group, replace(search, finding=replace(search.finding, z=z, straight=False))
