@@ -219,7 +219,7 @@ def trial(number: int, robots: list[str], seconds: float) -> dict[str, Any]:
         "wrong": {n: [v, float(drawn[n]), said[n].log, said[n].sd] for n, v in wrong.items()},
         "told": told, "hit": hit, "false": false, "cpu_seconds": spent, "numbers": len(found.lines),
         "missed": list(found.found.unexplained),
-        "right": [round(one.t, 2) for name, one in said.items() if name not in wrong and one.sd < abs(one.file)],
+        "right": [line.t for name, line in said.items() if name not in wrong and line.sd < abs(line.file)],
     }  # fmt: skip
 
 
