@@ -16,6 +16,7 @@ from amhe_cli.api.identify import identify
 from amhe_cli.cli.main import run
 from amhe_cli.core.bundled import bundled_logs, bundled_models, bundled_root
 from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.parameters import Parameter
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
 from amhe_cli.init.efforts import largest_inertias
@@ -46,10 +47,10 @@ def walker(free: str = "<freejoint/>") -> str:
       </worldbody><actuator>{servos}</actuator></mujoco>"""
 
 
-@pytest.fixture
-def walker_log(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def walker_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rng = np.random.default_rng(3)
-    path = tmp_path / "walk.mcap"
+    path = tmp_path_factory.mktemp("logs") / "walk.mcap"
     with LogWriter(path, {}) as log:
         for step in range(120):
             stamp, t = 10**18 + step * STEP_NS, step * 0.01
@@ -73,8 +74,17 @@ def made(
     return System.load(tmp_path / "out"), (tmp_path / "out" / "system.yaml").read_text(), guesses
 
 
-def test_a_walker_is_matched_by_name_whatever_the_order(tmp_path: Path, walker_log: Path) -> None:
-    system, text, guesses = made(tmp_path, walker(), [walker_log])
+@pytest.fixture(scope="module")
+def walked(
+    tmp_path_factory: pytest.TempPathFactory, walker_log: Path
+) -> tuple[System, dict[str, Parameter], str, list[str]]:
+    """The walker's system, its parameters by name, its text, and what is said of it."""
+    system, text, guesses = made(tmp_path_factory.mktemp("walker"), walker(), [walker_log])
+    return system, {p.name: p for p in system.space.parameters}, text, guesses
+
+
+def test_a_walker_is_matched_by_name_whatever_the_order(walked, walker_log: Path) -> None:
+    system, _, text, guesses = walked
     signals = {signal.name: signal for signal in system.signals}
     assert set(signals) == {"joints", "command", "trunk", "crate"}
     assert signals["joints"].names == tuple(f"{j}_joint" for j in LEGS)
@@ -86,32 +96,21 @@ def test_a_walker_is_matched_by_name_whatever_the_order(tmp_path: Path, walker_l
     read_signals(walker_log, system.signals, 0.002, LogSettings())
 
 
-def test_many_joints_share_their_parameters(tmp_path: Path, walker_log: Path) -> None:
-    system, _, _ = made(tmp_path, walker(), [walker_log])
-    kinds = ("damping", "friction_loss", "armature")
-    assert set(system.space.names) == {
-        *(f"{part}_joint_{kind}" for part in ("hip", "thigh", "calf") for kind in kinds),
-        "trunk_mass",
-        "crate_mass",
-        "crate_inertia_scale",
-        "friction",
-        "gain_scale",
-        "command_delay",
-    }
+def test_many_joints_share_their_parameters(walked) -> None:
+    system, parameters, text, _ = walked
+    kinds, parts = ("damping", "friction_loss", "armature"), ("hip", "thigh", "calf")
+    shared = {f"{part}_joint_{kind}" for part in parts for kind in kinds}
+    others = {"trunk_mass", "crate_mass", "crate_inertia_scale", "friction", "gain_scale", "command_delay"}
+    assert set(parameters) == shared | others
     edited = system.edits.apply(system.model, system.space.nominal * 1.5)
-    damping = [system.space.names.index(f"{part}_joint_damping") for part in ("hip", "thigh", "calf")]
-    np.testing.assert_allclose(edited.dof_damping[6:18], np.tile(1.5 * system.space.nominal[damping], 4))
-
-
-def test_a_zero_in_the_model_becomes_a_positive_guess(tmp_path: Path, walker_log: Path) -> None:
-    system, text, _ = made(tmp_path, walker(), [walker_log])
-    assert np.all(system.space.nominal > 0.0)
+    damping = [parameters[f"{part}_joint_damping"].nominal for part in parts]
+    np.testing.assert_allclose(edited.dof_damping[6:18], np.tile(1.5 * np.array(damping), 4))
+    assert np.all(system.space.nominal > 0.0), "a zero in the model becomes a positive guess"
     assert "the model has none: of the size of the joint's inertia" in text
 
 
-def test_noise_is_estimated_from_the_log(tmp_path: Path, walker_log: Path) -> None:
-    system, _, _ = made(tmp_path, walker(), [walker_log])
-    noise = {channel.key: channel.noise for channel in system.channels}
+def test_noise_is_estimated_from_the_log(walked) -> None:
+    noise = {channel.key: channel.noise for channel in walked[0].channels}
     assert noise["joints.position"] == pytest.approx(0.01, rel=0.3)
     assert noise["crate.position"] == pytest.approx(0.0005)  # noise-free: the floor
     assert noise["crate.linear_velocity"] is None  # a pose has none: differentiated, sets the state only
@@ -139,12 +138,10 @@ def test_the_steps_of_a_steady_motion_are_no_rounding(step: float) -> None:
     assert _rounding(step * np.round(ramp / step / 20.0)) == pytest.approx(step / np.sqrt(12.0))
 
 
-def test_servo_gain_is_known_only_so_well(tmp_path: Path, walker_log: Path) -> None:
+def test_servo_gain_is_known_only_so_well(walked) -> None:
     """Masses and torques are measured by it: taken for exact, it would make them look exact."""
-    system, text, _ = made(tmp_path, walker(), [walker_log])
-    gain = system.space.parameters[system.space.names.index("gain_scale")]
-    assert gain.prior_sd == 0.1
-    assert "delete it if the gains were measured" in text
+    assert walked[1]["gain_scale"].prior_sd == 0.1
+    assert "delete it if the gains were measured" in walked[2]
 
 
 def test_an_array_command_and_a_frame_of_tf(tmp_path: Path) -> None:
@@ -196,17 +193,15 @@ def test_a_urdf_gets_servos_for_its_commanded_joints(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "model.xml").is_file()
 
 
-def test_a_command_has_a_delay_and_a_log_without_commands_has_none(tmp_path: Path, walker_log: Path) -> None:
-    system, _, _ = made(tmp_path, walker(), [walker_log])
-    delay = system.space.parameters[system.space.names.index("command_delay")]
+def test_a_command_has_a_delay_and_a_log_without_commands_has_none(walked, tmp_path: Path) -> None:
+    delay = walked[1]["command_delay"]
     assert (delay.lower, delay.upper, delay.log, delay.prior_sd) == (0, 0.1, False, 0.01)
     assert delay.nominal == pytest.approx(0.011), "between 10 and 12 ms, the instants of a step of 2 ms"
     silent = tmp_path / "silent.mcap"
     with LogWriter(silent, {}) as log:
         for step in range(50):
             log.joint_state("/joint_states", 10**18 + step * STEP_NS, ["FL_hip"], np.array([0.01 * step]))
-    init_system(tmp_path / "robot.xml", [silent], tmp_path / "second")
-    assert "command_delay" not in System.load(tmp_path / "second").space.names
+    assert "command_delay" not in made(tmp_path, walker(), [silent])[0].space.names
 
 
 @pytest.mark.parametrize(
