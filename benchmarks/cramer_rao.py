@@ -28,7 +28,7 @@ GOAL = 1.2
 SECONDS = 4.0
 SETTINGS = {
     "clips": {"held_out": 0.0, "count": 1, "length": [SECONDS, SECONDS], "still": 0.0},
-    "identify": {"first_state": "never", "samples": 16, "profile_points": 0},
+    "identify": {"first_state": "never", "samples": 16},
 }
 #: Off the prior mean by these many prior sd: a search that does nothing must not look perfect.
 OFFSET = np.array([0.5, -0.5, 0.5, -0.5])

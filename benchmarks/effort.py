@@ -102,7 +102,7 @@ def system_of(noise: float) -> System:
             "torque": {"joint_force": joints, "noise": {"effort": float(TORQUE.mean())}},
         },
         match="effort",
-        settings={"identify": {"profile_points": 0, "assumed": 0}, "clips": {"held_out": 0.0}},
+        settings={"identify": {"assumed": 0}, "clips": {"held_out": 0.0}},
     )
 
 

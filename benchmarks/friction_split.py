@@ -44,7 +44,7 @@ def system() -> amhe.System:
             "joints": {"joints": ["drive"], "noise": {"position": NOISE}},
             "command": {"actuators": ["drive"], "quantity": "position"},
         },
-        settings={"identify": {"profile_points": 0, "assumed": 0}},
+        settings={"identify": {"assumed": 0}},
     )
 
 

@@ -380,7 +380,7 @@ def _described(robot: Robot, xml: str) -> dict[str, Any]:
         "joints": {"joints": list(robot.joints), "noise": {"position": NOISE}},
         "command": {"actuators": drives, "quantity": "value"},
     }
-    settings = {"clips": {"length": [0.5, 1.0], "count": 12}, "identify": {"profile_points": 0}}
+    settings = {"clips": {"length": [0.5, 1.0], "count": 12}}
     return {"parameters": parameters, "signals": signals, "settings": settings}
 
 

@@ -72,7 +72,7 @@ def settings_of(assumed: bool) -> dict[str, Any]:
     exact = dict.fromkeys(AssumedSettings.model_fields, 0.0)
     return {
         "clips": {"held_out": 0.0, "count": 12},
-        "identify": {"profile_points": 0, "assumed": {"time_step": 0.0} if assumed else exact},
+        "identify": {"assumed": {"time_step": 0.0} if assumed else exact},
     }
 
 

@@ -166,8 +166,12 @@ class IdentifySettings(SettingsGroup):
     geared: list[str] = []
     """Joints with a gear, by names or patterns. What their friction may have besides a constant is then an
     assumed value too: `load_friction`, `stribeck` and `spring`. Joints of direct drives have none."""
-    profile_points: Annotated[int, Field(ge=0)] = 11
-    """Points of each parameter's cost profile; 0 draws none."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_former(cls, given: Any) -> Any:
+        """What drew cost profiles means nothing any more, and does no harm."""
+        return {k: v for k, v in given.items() if k != "profile_points"} if isinstance(given, dict) else given
 
 
 #: Settings of the online estimator that act with one of its methods only.

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief import belief_of
 from amhe_cli.core.errors import NOTE
 from amhe_cli.core.log import Window
@@ -25,7 +24,6 @@ from amhe_cli.estimation.uncertainty import terms
 from amhe_cli.estimation.uncertainty.assumed import assumed
 from amhe_cli.estimation.uncertainty.derived import body_numbers, combinations, summary_of_efforts
 from amhe_cli.estimation.uncertainty.fit import (
-    PROFILED,
     TURNS,
     FinalFit,
     Finding,
@@ -46,14 +44,14 @@ from amhe_cli.estimation.uncertainty.misfit import (
 )
 from amhe_cli.estimation.uncertainty.parts import REFITS, estimates, parts, report_drift
 from amhe_cli.estimation.uncertainty.verdicts import Evidence, verdicts
-from amhe_cli.estimation.validation.held_out import fits, judge, profiles, validate, with_own_values
+from amhe_cli.estimation.validation.held_out import fits, judge, validate, with_own_values
 from amhe_cli.estimation.validation.prediction import HORIZONS, STARTS, horizon_errors
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
 
 #: Parts of a conclusion, for its progress.
-PARTS = 10
+PARTS = 9
 #: Linearisations of all clips that a conclusion needs at least.
 RESERVE = 3
 #: Steps that a settled search may still take with the noise that it has left.
@@ -96,7 +94,7 @@ def conclude(search: Search, *, quick: bool = False) -> Identification:
     """All results of a finished, or interrupted, search.
 
     Its watch decides for which of the slow checks there is time: held-out clips from fitted first states, the
-    comparison of the logs' halves, what rests on assumed values, a second minimum, profiles. After an
+    comparison of the logs' halves, what rests on assumed values, a second minimum. After an
     interruption there is for none. `quick`: halves of the logs have no searches of their own.
     """
     problem, system, watch = search.problem, search.problem.system, search.watch
@@ -107,10 +105,9 @@ def conclude(search: Search, *, quick: bool = False) -> Identification:
     validation, held_out, misfit = _judged(fit, apart, search.validation, watch)
     missing = _missing(fit, watch)
     ledger, exact = _ledger(fit, rival, watch, quick)
-    drawn = _profiles(fit, ledger.sd, watch)
     lines = with_common_means(system.space, search.model, fit.z, ledger)
     space, covariance = lines.space, lines.ledger.covariance
-    evidence = _evidence(fit, lines, misfit, drawn, rival)
+    evidence = _evidence(fit, lines, misfit, rival)
     _report_budget(system, ledger)
     watch.report_skipped()
     watch.enter("predictions for the report")
@@ -164,7 +161,6 @@ def _evidence(
     fit: FinalFit,
     lines: WithMeans,
     misfit: Sequence[str],
-    drawn: Mapping[int, tuple[FloatArray, FloatArray]],
     rival: Rival | None,
 ) -> Evidence:
     """Evidence for the verdict of each line; of a common mean the same is said as of its first value."""
@@ -179,7 +175,6 @@ def _evidence(
         idle={name: problem.idle[unknown] for name, unknown in names.items() if unknown in problem.idle},
         misfit=misfit,
         blamed={name: against[unknown] for name, unknown in names.items() if unknown in against},
-        profiles={i: drawn[k] for i, k in enumerate(firsts) if alone[i] and k in drawn},
         rival=rival and replace(rival, z=lines.of(rival.z), differs=lines.of(rival.differs) > 0.0),
         doubled_prior=np.where(alone, moves[firsts], np.nan),
         non_smooth=problem.non_smooth,
@@ -297,11 +292,3 @@ def _ledger(fit: FinalFit, rival: Rival | None, watch: Watch, quick: bool) -> tu
         doubts.append(term)
     doubts = terms.inherited(fit, doubts)
     return Ledger((*doubts, rival.term(fit.z)) if rival else tuple(doubts)), exact
-
-
-def _profiles(fit: FinalFit, sd: FloatArray, watch: Watch) -> dict[int, tuple[FloatArray, FloatArray]]:
-    """Cost along each parameter, as far as its sd of z (d,) demands; none where there is no time."""
-    problem, points = fit.problem, fit.problem.settings.identify.profile_points
-    unknowns = problem.active.sum() if problem.sparsity is None else problem.sparsity.unknowns(False)
-    rollouts = points * int(unknowns) * min(len(problem.clips), PROFILED)
-    return profiles(fit, sd, points if watch.allows("cost profiles", rollouts) else 0)

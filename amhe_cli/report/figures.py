@@ -130,47 +130,6 @@ def away(values: FloatArray, origin: float, parameter: ParameterResult, log: boo
     return (values - origin) / parameter.prior_sd
 
 
-def profile_figure(parameters: Sequence[ParameterResult]) -> Markup:
-    """Cost along each parameter, and the parabola through its lowest points; '' if none was computed.
-
-    Of more than `MANY`, those that the logs hardly narrow are left out.
-    """
-    told = [p for p in parameters if len(parameters) <= MANY or p.verdict != "prior"]
-    return figure([_profile(p, *p.profile) for p in told if p.profile is not None], 4)
-
-
-def _profile(p: ParameterResult, values: FloatArray, costs: FloatArray) -> Panel:
-    costs = np.where(np.isfinite(costs), costs, np.nan)
-    unit = numbers.unit_of(p.unit)
-    inside = values.min() <= p.prior <= values.max()
-    marks = [Mark((p.lower, p.upper), "90 % interval", "given"), Mark(p.estimate, "after", "after")]
-    marks += [Mark(p.prior, "before", "before")] if inside else []
-    lines = [*_parabola(values, costs), Curve(values, costs, "cost", "ink", "dots")]
-    flat = (
-        bool(np.nanmax(costs) - np.nanmin(costs) < 0.02 * abs(np.nanmax(costs)))
-        if np.isfinite(costs).any()
-        else True
-    )
-    low, high = (
-        (0.5 * np.nanmin(costs), 1.5 * np.nanmax(costs))
-        if flat and np.isfinite(costs).any()
-        else (None, None)
-    )
-    outside = "" if inside else f"; before: {p.prior:.3g}"
-    return Panel(p.name + outside, lines, x=f"[{unit}]" if unit else "value", marks=marks, low=low, high=high)
-
-
-def _parabola(values: FloatArray, costs: FloatArray) -> Iterator[Curve]:
-    """The parabola through the three lowest neighbours, where there are three."""
-    if (known := np.flatnonzero(np.isfinite(costs))).size < 3:
-        return
-    least = int(np.clip(np.argmin(costs[known]), 1, known.size - 2))
-    near = known[least - 1 : least + 2]
-    fine = np.linspace(values[known[0]], values[known[-1]], 60)
-    bent = np.polynomial.Polynomial.fit(values[near], costs[near], 2)(fine)
-    yield Curve(fine, bent, "parabola through its lowest points", "soft", leads=False)
-
-
 def ellipse_figure(result: Identification, pairs: Sequence[tuple[str, str]]) -> Markup:
     """Where 90 % of the prior and of the posterior of two parameters lie, a panel for each pair.
 

@@ -244,14 +244,6 @@ def _sections(result: Identification, record: Mapping[str, Any], seen: Beside) -
             table=_residual_table(result.noise_scale),
             folded=True,
         )
-    if profiles := figures.profile_figure(result.parameters):
-        yield Section(
-            "Cost along each parameter",
-            text="The other parameters are held at the estimate. A flat line means that the logs hardly "
-            "narrow the parameter down; of many parameters, those are left out.",
-            figure=profiles,
-            folded=True,
-        )
     if result.iterations:
         yield Section(
             "Convergence",

@@ -27,7 +27,7 @@ ROOT = Path(__file__).parents[2]
 CHEAP = {
     "clips": {"count": 6, "length": [0.4, 0.8]},
     "identify": {
-        **{"iterations": 4, "profile_points": 3},
+        **{"iterations": 4},
         **{"cmaes_iterations": 4},
     },
 }

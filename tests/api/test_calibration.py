@@ -49,7 +49,7 @@ BALL = """
 CHEAP = {
     "clips": {"count": 6, "length": [0.4, 0.8]},
     # the masses of the models have been weighed: they decide how well a force sensor's scale is known
-    "identify": {"iterations": 12, "profile_points": 0, "assumed": {"mass": 0.0}},
+    "identify": {"iterations": 12, "assumed": {"mass": 0.0}},
 }
 DT = 0.004
 

@@ -19,7 +19,7 @@ from tests.conftest import MODELS
 
 QUICK = {
     "clips": {"count": 6},
-    "identify": {"iterations": 3, "profile_points": 0, "first_state": "never"},
+    "identify": {"iterations": 3, "first_state": "never"},
 }
 #: Comparing does not depend on what a model lacks.
 pytestmark = pytest.mark.usefixtures("unexplained")
@@ -159,7 +159,6 @@ def test_the_smallest_friction_model_that_explains_a_geared_joint_wins(
         "--set=clips.count=4",
         "--set=clips.length=[0.3,1.0]",
         "--set=identify.iterations=8",
-        "--set=identify.profile_points=0",
         "--set=identify.first_state=never",
         "--set=identify.assumed=0",  # which of them predicts best does not depend on it
     ]

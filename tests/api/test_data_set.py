@@ -36,7 +36,7 @@ signals:
   command: {columns: {position: u}, actuators: [servo]}
 settings:
   clips: {count: 6, length: [0.5, 1.0]}
-  identify: {iterations: 6, profile_points: 0}
+  identify: {iterations: 6}
 """
 GAINS, LOAD, DAMPING = (1.5, 2.0, 3.0, 4.0), 0.5, 0.03
 #: What a model with a wrong gain lacks is not looked for here.

@@ -15,7 +15,7 @@ from amhe_cli.system.model.gaps import add_gaps
 DT = 0.004
 CHEAP = {
     "clips": {"count": 6, "length": [0.4, 0.8]},
-    "identify": {"iterations": 12, "profile_points": 0, "assumed": 0},  # the logs are those of the model
+    "identify": {"iterations": 12, "assumed": 0},  # the logs are those of the model
 }
 NOISE = 0.001
 

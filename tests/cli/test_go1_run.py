@@ -82,7 +82,7 @@ def test_a_robot_is_checked_without_moving_then_runs_and_its_log_is_identified(c
     assert topics[0] - topics[1] == {("/amhe/truth", "sensor_msgs/msg/JointState")}
     assert topics[1] <= topics[0]
     assert run(["inspect", "out/log.mcap"]) == 0
-    for setting in ("ITERATIONS=3", "PROFILE_POINTS=0", "FIRST_STATE=never"):
+    for setting in ("ITERATIONS=3", "FIRST_STATE=never"):
         monkeypatch.setenv(*f"AMHE_IDENTIFY__{setting}".split("="))
     monkeypatch.setenv("AMHE_CLIPS__COUNT", "6")
     found = {}

@@ -32,7 +32,6 @@ ROOT = Path(__file__).parents[2]
 QUICK = [
     *("--set", "clips.count=6", "--set", "clips.length=[0.3, 0.5]"),
     *("--set", "identify.samples=12", "--set", "identify.iterations=3"),
-    *("--set", "identify.profile_points=0"),
 ]
 FILES = ["belief.yaml", "identified.xml", "report.html", "result.json", "view.html"]
 
@@ -223,7 +222,7 @@ def test_an_interrupted_run_keeps_the_best_so_far(pendulum_log: Path) -> None:
 @pytest.mark.medium
 @pytest.mark.usefixtures("unexplained")
 def test_workers_find_the_same_parameters_to_the_bit(tmp_path: Path, pendulum_log: Path) -> None:
-    few = ("identify.iterations=1", "identify.profile_points=0", "clips.count=8")
+    few = ("identify.iterations=1", "clips.count=8")
     quick = ["--to", "3", "-q", *(word for setting in few for word in ("--set", setting))]
     assert run(["identify", str(pendulum_log), "-o", str(tmp_path / "here"), *quick]) == 0
     assert run(["identify", str(pendulum_log), "-o", str(tmp_path / "there"), *quick, "--workers", "1"]) == 0

@@ -76,7 +76,7 @@ def test_the_probes_log_identifies_another_pendulum() -> None:
     assert run([*PENDULUM, "--plant", str(plant), "-o", "probe"]) == 0
     assert names("probe") == ["plan.json", "probe.mcap", "report.html", "result.json"]
     assert "truth" not in read_metadata(Path("probe/probe.mcap"))
-    less = ["-q", "--threads", "1", "--set", "identify.profile_points=0"]
+    less = ["-q", "--threads", "1"]
     assert run(["identify", "probe/probe.mcap", "-o", "found", *less]) == 0
     found = {row["name"]: row for row in json.loads(Path("found/result.json").read_text())["parameters"]}
     for name, truth in PENDULUM_TRUTH.items():

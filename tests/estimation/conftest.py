@@ -18,7 +18,7 @@ NOISE = (0.002, 0.05)
 #: Few samples and clips: these tests are about rightness, not about the last digit.
 CHEAP = {
     "clips": {"count": 6, "length": [0.4, 0.8]},
-    "identify": {"iterations": 8, "profile_points": 0, "cmaes_iterations": 30},
+    "identify": {"iterations": 8, "cmaes_iterations": 30},
 }
 
 

@@ -256,7 +256,7 @@ def sprung() -> tuple[amhe.System, amhe.Log]:
                              "targets": [{"body": "load", "set": "mass"}]}},
         signals={"joints": {"joints": ["hinge"], "noise": {"position": 5e-4}},
                  "command": {"actuators": ["servo"], "quantity": "position"}},
-        settings={"clips": {"length": [0.4, 0.8], "count": 8}, "identify": {"profile_points": 0}},
+        settings={"clips": {"length": [0.4, 0.8], "count": 8}},
         warn=False,
     )  # fmt: skip
     time, position, command = swung(0.8).T

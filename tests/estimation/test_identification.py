@@ -223,14 +223,14 @@ def test_max_time_stops_the_search_and_leaves_out_slow_checks(pendulum, swing, c
     assert caplog.text.count("stopped the search") == 1
     skipped = (
         "error against horizon, covariance from wider samples, comparison of the logs' halves, "
-        "what rests on assumed values, cost profiles"
+        "what rests on assumed values"
     )
     first = "left no time for: search for a second minimum, held-out clips from fitted first states"
     assert caplog.text.count(f"{first}, {skipped}") == 1
     assert not any(
         advice in caplog.text for advice in ("identify.iterations", "the model may lack", "now fixed are")
     )
-    assert result.held_out is not None and not result.parameters[0].profile
+    assert result.held_out is not None
 
 
 @pytest.mark.medium
@@ -387,7 +387,7 @@ DATA = Path(__file__).parents[2].parent / "shared" / "data" / "cube_tosses"
 def test_real_tosses_tell_friction_and_not_mass():
     system = System.load(
         "cube_toss",
-        {"identify": {"iterations": 10, "profile_points": 0}, "clips": {"count": 12}},
+        {"identify": {"iterations": 10}, "clips": {"count": 12}},
     )
     dt, logs = system.model.opt.timestep, sorted(DATA.glob("toss_*.mcap"))
     tosses = [read_signals(path, system.signals, dt, system.settings.logs) for path in logs]

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.usefixtures("unexplained")
 #: Noise of positions [m or rad] and velocities [m/s or rad/s].
 NOISE = {"position": 0.001, "velocity": 0.02}
 #: The models are exact, to their time step; nothing is held out unless a test says so.
-EXACT = {"identify": {"profile_points": 0, "assumed": 0}}
+EXACT = {"identify": {"assumed": 0}}
 STEP = 0.005
 #: Cart, true mass [kg] and true gain of the motor of unknown gain.
 MASS, GAIN = 2.0, 1.5

@@ -46,7 +46,7 @@ def system() -> amhe.System:
         "command": {"actuators": ["drive"], "quantity": "velocity"},
     }
     settings = {
-        "identify": {"profile_points": 0, "assumed": 0, "iterations": 8, "polish": 4},
+        "identify": {"assumed": 0, "iterations": 8, "polish": 4},
         "clips": {"length": [0.5, 1.0], "held_out": 0.0},
     }
     return amhe.System.from_model(spec, parameters=PARAMETERS, signals=signals, settings=settings)

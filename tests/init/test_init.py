@@ -571,7 +571,7 @@ def test_the_quantity_of_a_command_is_written_where_there_is_a_choice(tmp_path: 
 def test_torques_without_commands_are_matched(tmp_path: Path) -> None:
     model, log = bundled_models()["arm_torque"], bundled_logs()["arm_torque"]
     notes = init_system(model, [log], tmp_path / "arm").sentences
-    system = System.load(tmp_path / "arm", {"identify": {"profile_points": 0}, "clips": {"held_out": 0.0}})
+    system = System.load(tmp_path / "arm", {"clips": {"held_out": 0.0}})
     assert system.match == "effort"
     assert any(note.startswith("torque: torques were measured, and nothing says") for note in notes)
     (effort,) = [c for c in system.channels if c.compared]

@@ -47,7 +47,7 @@ SIGNALS = {
 }
 SMALL = {
     "clips": {"count": 4, "length": [0.5, 0.6]},
-    "identify": {"iterations": 2, "polish": 1, "samples": 8, "profile_points": 0},
+    "identify": {"iterations": 2, "polish": 1, "samples": 8},
 }
 SYSTEM = amhe.System.load("pendulum", {"signals": SIGNALS, **SMALL})
 SAMPLES = sampled(amhe.read_log(EXAMPLE, SYSTEM, end=3.0))

@@ -46,7 +46,7 @@ SIGNALS = {
     "joints": {"joints": JOINTS, "noise": {"position": 1e-4}},
     "torque": {"joint_force": JOINTS, "noise": {"effort": 0.1}},
 }
-EXACT = {"identify": {"profile_points": 0, "assumed": 0}}
+EXACT = {"identify": {"assumed": 0}}
 
 
 def system_of(**changes):

@@ -41,7 +41,6 @@ CORRELATIONS = np.array(
 
 def parameter(i: int) -> ParameterResult:
     value = ESTIMATE[i]
-    grid = value * np.exp(np.linspace(-3, 3, 11) * SD[i])
     return ParameterResult(
         name=NAMES[i],
         unit=("kg", "N m s/rad", "N m", "kg m^2")[i],
@@ -58,7 +57,6 @@ def parameter(i: int) -> ParameterResult:
         budget=BUDGETS[i],
         doubled_prior=float(0.1 * value * SD[i]),
         given=GIVEN[i],
-        profile=(grid, 1.04 + 0.4 * (np.log(grid / value) / SD[i]) ** 2 * (i < 3)),
     )
 
 

@@ -24,7 +24,7 @@ from amhe_cli.estimation.core.result import (
     ParameterResult,
     Reason,
 )
-from amhe_cli.report.figures import away, ellipse_figure, profile_figure
+from amhe_cli.report.figures import away, ellipse_figure
 from amhe_cli.report.folder import PageError
 from amhe_cli.report.identification import (
     held_out_line,
@@ -209,20 +209,9 @@ def test_the_same_result_gives_the_same_page(html: str) -> None:
     assert page(identification(), WARNED) == html
 
 
-def test_a_profile_is_seen_to_its_ends_and_a_share_has_no_unit() -> None:
-    known = parameter(0)
-    assert known.profile is not None
-    one, other = panels(profile_figure([known, replace(known, name="scale", unit="-")]))
-    assert (one["x"], other["x"]) == ("[kg]", "value")
-    bent, costs = one["lines"]
-    assert costs["y"] == pytest.approx(known.profile[1], abs=1e-3)
-    assert np.interp(known.profile[0], bent["x"], bent["y"]) == pytest.approx(known.profile[1], rel=0.3)
-    assert one["lines"][0]["x"][0] == pytest.approx(known.profile[0].min(), rel=1e-3)
-
-
 def test_the_poorest_result_still_has_a_page() -> None:
     nan = math.nan
-    lone = replace(parameter(3), sd=nan, lower=nan, upper=nan, shrinkage=nan, profile=None, reasons=())
+    lone = replace(parameter(3), sd=nan, lower=nan, upper=nan, shrinkage=nan, reasons=())
     belief = identification().belief
     result = identification(
         parameters=(lone,),

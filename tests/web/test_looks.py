@@ -47,7 +47,7 @@ SETTLED = """(async () => {
   for (let i = 0; i < 4; i++) await new Promise((done) => requestAnimationFrame(() => setTimeout(done, 40)));
   for (const one of document.getAnimations()) if (one instanceof CSSTransition) one.finish();
 })()"""
-QUICK = {"clips": {"count": 6}, "identify": {"iterations": 3, "profile_points": 3, "first_state": "never"}}
+QUICK = {"clips": {"count": 6}, "identify": {"iterations": 3, "first_state": "never"}}
 
 #: A folder -> where pages are, in that folder or on a server, for as long as they are there.
 Maker = Callable[[Path], AbstractContextManager[Sequence[str]]]

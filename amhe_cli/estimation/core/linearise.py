@@ -37,7 +37,6 @@ from amhe_cli.core.arrays import (
     FloatArray,
     IntArray,
     namespace_of,
-    side_by_side,
     to_host,
 )
 from amhe_cli.core.parameters import ParameterSpace
@@ -152,23 +151,6 @@ class Sparsity:
             rows = self._moving(observed.channel.key, observed.width, first)
             parts.append(np.tile(rows, observed.mask.shape[1]))
         return np.concatenate(parts, axis=1)
-
-    def alone(self, row: int, cost: MatchingCost, together: Residuals, here: Sequence[AnyArray]) -> Residuals:
-        """Residuals of candidates in which other parameters have moved, too, as of one of them alone.
-
-        Args:
-            row: The parameter; the others move other measurements.
-            cost: The cost.
-            together: Residuals of p candidates.
-            here: Those of no move, one array for each channel, shape (1, c, samples, k).
-        """
-        columns = [self._moving(o.channel.key, o.width)[row] for o in cost.clips.observed]
-        pairs = zip(together.values, here, strict=True)
-        values = tuple(
-            namespace_of(moved).where(namespace_of(moved).asarray(moves), moved, still)
-            for moves, (moved, still) in zip(columns, map(side_by_side, pairs), strict=True)
-        )
-        return Residuals(values, together.completed)
 
     @property
     def alike(self) -> list[IntArray]:

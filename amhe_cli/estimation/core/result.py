@@ -59,7 +59,6 @@ class ParameterResult:
         budget: Share of the variance by kind of term (`estimation/uncertainty/ledger.py`); their sum is 1.
         doubled_prior: How far the estimate would move if the sd of its prior were twice as large.
         given: Of 'conditional', the number that it rests on most, such as 'the gain of servo, 4'.
-        profile: Parameter values (K,) and held-in cost there (K,), the others held at the estimate.
     """
 
     name: str
@@ -77,7 +76,6 @@ class ParameterResult:
     budget: Mapping[str, float] = field(default_factory=dict)
     doubled_prior: float = math.nan
     given: str = ""
-    profile: tuple[FloatArray, FloatArray] | None = None
 
     def __repr__(self) -> str:
         told = f"{self.name} {self.estimate:.4g} ± {self.sd:.2g} {self.unit}".removesuffix(" -")

@@ -104,7 +104,6 @@ def expected(system: System, logs: Sequence[Log], *, threads: int = 1, seed: int
         idle=problem.idle,
         misfit=(),
         blamed={},
-        profiles={},
         rival=None,
         doubled_prior=doubled_prior(fit),
         non_smooth=problem.non_smooth,

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray, sealed, to_host
+from amhe_cli.core.arrays import BoolArray, FloatArray, sealed, to_host
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.estimation.core.information import (
     Information,
@@ -18,16 +18,13 @@ from amhe_cli.estimation.core.information import (
     fitted_noise_scale,
     gauss_newton_step,
     information,
-    objective,
     step_within,
 )
 from amhe_cli.estimation.core.linearise import (
     FirstStates,
     Linearisation,
-    Sparsity,
     bounded,
     changed,
-    colours,
     diagonal,
     sampling_sd,
     within,
@@ -49,8 +46,6 @@ TURNS = 4
 LITTLE = 0.1
 #: Sampling sd of the first of them after CMA-ES, in prior sd.
 SMALL = 0.05
-#: Clips that are enough to draw a cost along a parameter.
-PROFILED = 24
 
 
 #: Shares of the step to the best first states that are tried on each clip.
@@ -190,45 +185,6 @@ class FinalFit:
     def times(self) -> tuple[float, ...]:
         """Autocorrelation time of each channel's residuals, in samples."""
         return channel_times(self.slopes.cost, self.information.residual, self.slopes.completed)
-
-    def costs_along(self, rows: IntArray, values: FloatArray, sparsity: Sparsity | None) -> FloatArray:
-        """Mean cost of some clips with one parameter moved at a time, first states fitted along.
-
-        Parameters that move different measurements are moved in the same rollouts, and their costs put
-        together from what each of them moves.
-
-        Args:
-            rows: Which parameters, shape (m,).
-            values: What each of them is set to, in z, shape (m, p).
-            sparsity: What the parameters move, where they do not move everything.
-
-        Returns:
-            Costs, shape (m, p).
-        """
-        clips = np.arange(len(self.weight))[:: -(-len(self.weight) // PROFILED)]
-        cost, costs = self.slopes.cost.of(clips), np.empty_like(values)
-        counted = (self.weight[clips] > 0.0).astype(float)
-        together, here = np.arange(len(rows)), ()
-
-        def first_states(z: FloatArray) -> FloatArray | None:
-            first = self.information.first(z - self.z)[:, clips]
-            return first if first.shape[2] else None
-
-        if sparsity is not None:
-            together = colours(sparsity.residuals(cost, False)[rows])
-            here = cost.residuals(self.z[None], first_states(self.z[None])).values
-        for colour in range(together.max() + 1):
-            some = np.flatnonzero(together == colour)
-            z = np.repeat(self.z[None], values.shape[1], axis=0)
-            z[:, rows[some]] = values[some].T
-            residuals = cost.residuals(z, first_states(z))
-            for i in some:
-                moved = residuals if sparsity is None else sparsity.alone(rows[i], cost, residuals, here)
-                alone = np.repeat(self.z[None], len(z), axis=0)
-                alone[:, rows[i]] = values[i]
-                first = self.information.first(alone - self.z)[:, clips]
-                costs[i] = objective(cost, moved, first, (1.0,) * len(moved.values), counted)
-        return costs / max(float((counted * cost.clips.counts).sum()), 1.0)
 
 
 def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) -> FinalFit:

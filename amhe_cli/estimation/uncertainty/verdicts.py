@@ -50,7 +50,6 @@ class Evidence:
         idle: Why the logs do not depend on the others, by name.
         misfit: What speaks against every value, in words.
         blamed: What speaks against some values, in words, by their names.
-        profiles: Column -> (theta values (K,), costs (K,)).
         rival: A second minimum.
         doubled_prior: Where the estimate would move if each parameter's prior sd were doubled, shape (d,).
         non_smooth: The response jitters, as behind contacts.
@@ -64,7 +63,6 @@ class Evidence:
     idle: Mapping[str, str]
     misfit: Sequence[str]
     blamed: Mapping[str, tuple[str, ...]]
-    profiles: Mapping[int, tuple[FloatArray, FloatArray]]
     rival: Rival | None
     doubled_prior: FloatArray
     non_smooth: bool = False
@@ -106,7 +104,6 @@ def _parameter(space: ParameterSpace, evidence: Evidence, i: int) -> ParameterRe
         budget=evidence.ledger.budget(i),
         doubled_prior=float(space.theta_of(space.clip(moved))[i]) - estimate,
         given=given,
-        profile=evidence.profiles.get(i),
     )
 
 

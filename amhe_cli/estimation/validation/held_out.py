@@ -318,28 +318,6 @@ def fit_of(
     )
 
 
-def profiles(fit: FinalFit, sd: FloatArray, points: int) -> dict[int, tuple[FloatArray, FloatArray]]:
-    """Cost along each parameter that the logs depend on through the estimate, the others held.
-
-    Args:
-        fit: The estimate.
-        sd: Posterior sd of z: the profile reaches 4 of them, at least 0.3 prior sd, to either side.
-        points: Points of each profile; below 3 there is none.
-    """
-    space, z, columns = fit.space, fit.z, np.flatnonzero(fit.problem.active)
-    if points < 3 or not columns.size:
-        return {}
-    reach = np.maximum(4.0 * sd, 0.3)[columns]
-    lower, upper = (bound[columns] for bound in space.bounds)
-    middle = z[columns]
-    values = np.linspace(np.maximum(lower, middle - reach), np.minimum(upper, middle + reach), points, axis=1)
-    costs = fit.costs_along(columns, values, fit.problem.sparsity)
-    candidates = np.repeat(z[None], columns.size * points, axis=0).reshape(columns.size, points, -1)
-    candidates[np.arange(columns.size), :, columns] = values
-    theta = space.theta_of(candidates)
-    return {int(i): (theta[row, :, i], costs[row]) for row, i in enumerate(columns)}
-
-
 def _turn(zero: FloatArray, q: FloatArray) -> FloatArray:
     """Rotation vectors from `zero` to q, unwrapped along time so that no curve jumps by a turn."""
     vectors = rotations.difference(q, np.broadcast_to(zero, q.shape))

@@ -23,15 +23,13 @@ from amhe_cli.estimation.core.linearise import (
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.problem import Problem
-from amhe_cli.estimation.uncertainty.fit import final_fit
-from amhe_cli.matching.cost import MatchingCost
 
 ARMS = ("left", "right")
 TRUTH = {"left_damping": 0.08, "left_armature": 0.012, "right_damping": 0.15, "right_armature": 0.02}
 EXACT = dict.fromkeys(AssumedSettings.model_fields, 0.0)
 CHEAP = {
     "clips": {"length": [0.5, 1.0]},
-    "identify": {"profile_points": 3, "assumed": EXACT | {"time_step": 1.0}},
+    "identify": {"assumed": EXACT | {"time_step": 1.0}},
 }
 
 
@@ -160,25 +158,6 @@ def test_samples_of_a_group_stay_in_the_valley_that_it_shares_with_others() -> N
     shape = bounded(part, np.full(3, 1e-4), np.ones(3, dtype=bool), groups)
     np.testing.assert_allclose(shape @ shape.T, part, atol=1e-12)
     np.testing.assert_array_equal(within(covariance, None), covariance)
-
-
-def test_cost_profiles_are_the_same_with_fewer_rollouts(
-    apart: Problem, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fit = final_fit(
-        apart, search.restart(apart, apart.system.space.z_of(np.array([*TRUTH.values(), 0.0125])))
-    )
-    rows, counted = np.arange(5), []
-    values = fit.z[:, None] + np.array([-0.3, 0.0, 0.2])
-    inside = MatchingCost.residuals
-    monkeypatch.setattr(
-        MatchingCost,
-        "residuals",
-        lambda self, z, first=None: counted.append(len(z)) or inside(self, z, first),
-    )
-    together, shared = fit.costs_along(rows, values, apart.sparsity), sum(counted)
-    np.testing.assert_allclose(together, fit.costs_along(rows, values, None), rtol=1e-6)
-    assert shared == 1 + 3 * 3 and sum(counted) - shared == 5 * 3
 
 
 @pytest.mark.medium

@@ -63,7 +63,7 @@ def finer(model: mujoco.MjModel) -> None:
 
 def settings(**given: float) -> dict[str, Any]:
     """A quick search, in which nothing but `given` is assumed."""
-    return {**CHEAP, "identify": {**CHEAP["identify"], "profile_points": 0, "assumed": EXACT | given}}
+    return {**CHEAP, "identify": {**CHEAP["identify"], "assumed": EXACT | given}}
 
 
 #: A limit of a servo's force that is unknown, and a factor on both its gain and that limit.

@@ -294,7 +294,7 @@ def test_a_mean_rests_on_what_its_values_rest_on(
     lines = with_common_means(space, ParameterSpace((friction,)), np.zeros(8), ledger)
     evidence = Evidence(
         z=lines.z, ledger=lines.ledger, active=np.ones(9, dtype=bool), idle={}, misfit=(), blamed={},
-        profiles={}, rival=None, doubled_prior=np.full(9, np.nan), means=lines.means,
+        rival=None, doubled_prior=np.full(9, np.nan), means=lines.means,
     )  # fmt: skip
     mean, *values = verdicts(lines.space, evidence)
     assert (mean.name, mean.verdict, values[0].name) == ("friction", verdict, "friction[a]")

@@ -37,7 +37,7 @@ def wheel(lowest: float, tilt: float = 0.0) -> amhe.System:
         },
         settings={
             "clips": {"length": [0.4, 0.8]},
-            "identify": {"profile_points": 0, "assumed": 0},
+            "identify": {"assumed": 0},
         },
         warn=False,
     )

@@ -196,7 +196,7 @@ def cart(xml: tuple[str, str] = ("", ""), assumed: Any = 0, **parameters: dict[s
         },
         settings={
             "clips": {"count": 24, "length": [0.5, 0.5], "still": 0.0},
-            "identify": {"assumed": assumed, "profile_points": 0, "iterations": 8},
+            "identify": {"assumed": assumed, "iterations": 8},
         },
         name="cart",
         warn=False,
@@ -247,7 +247,7 @@ def test_logs_of_an_unknown_and_of_a_known_motor_agree() -> None:
 
 QUICK = {
     "clips": {"count": 6, "length": [0.4, 0.6]},
-    "identify": {"iterations": 4, "profile_points": 0, "first_state": "never"},
+    "identify": {"iterations": 4, "first_state": "never"},
 }
 
 

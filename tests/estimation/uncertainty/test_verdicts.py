@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ from amhe_cli.estimation.uncertainty.derived import combinations
 from amhe_cli.estimation.uncertainty.ledger import Kind, Ledger, Source, Term, term_of
 from amhe_cli.estimation.uncertainty.minimum import Rival
 from amhe_cli.estimation.uncertainty.verdicts import DOUBT, Evidence, verdicts
-from amhe_cli.estimation.validation.held_out import profiles
 
 SPACE = ParameterSpace(
     (
@@ -53,7 +51,6 @@ def evidence(sd: float = 0.05, *more: Term, **changes: Any) -> Evidence:
         "idle": {},
         "misfit": (),
         "blamed": {},
-        "profiles": {},
         "rival": None,
         "doubled_prior": np.array([0.02, 0.0, 0.1]),
     }
@@ -262,23 +259,6 @@ def test_a_combination_shrinks_from_what_the_prior_knows_of_it() -> None:
 def test_a_combination_names_no_factor_with_an_exponent_of_zero() -> None:
     unequal = np.array([[0.5**2, 0.95 * 0.5 * 0.01, 0.0], [0.95 * 0.5 * 0.01, 0.01**2, 0.0], [0.0, 0.0, 1.0]])
     assert combinations(SPACE, unequal, np.ones(3, dtype=bool)) == ()
-
-
-def test_a_profile_passes_through_the_estimate_within_the_bounds() -> None:
-    z, sd = np.array([0.4, -0.2, 4.4]), np.full(3, 0.05)
-    fit: Any = SimpleNamespace(
-        space=SPACE,
-        z=z,
-        problem=SimpleNamespace(active=np.array([True, False, True]), sparsity=None),
-        costs_along=lambda rows, at, sparsity: (at - z[rows, None]) ** 2,
-    )
-    found = profiles(fit, sd, points=11)
-    assert set(found) == {0, 2}
-    theta, costs = found[0]
-    assert theta[5] == pytest.approx(SPACE.theta_of(z)[0]) and costs[5] == pytest.approx(0.0, abs=1e-12)
-    assert costs[[0, -1]] == pytest.approx(0.09)
-    assert found[2][0].max() <= 1.0, "the upper bound"
-    assert profiles(fit, sd, points=2) == {}
 
 
 RIVAL = Rival(np.array([-0.4, -0.2, 0.1]), 0.4, np.array([True, False, False]), (1.02, 1.03))
