@@ -183,7 +183,7 @@ def test_the_page_shows_what_was_found(html: str) -> None:
         assert text in html
     assert "amhe identify &lt;swing&gt;.mcap" in html
     titles = [panel["title"] for panel in panels(html)]
-    assert titles.count("arm.position") == 3 and {"cost", "friction_loss [N m]", "armature"} <= {*titles}
+    assert titles.count("arm.position") == 3 and "cost" in titles
 
 
 def test_the_page_is_well_formed(html: str) -> None:
@@ -515,6 +515,6 @@ def test_a_dollar_in_a_name_is_a_dollar_and_no_formula() -> None:
 def test_a_link_opens_its_part(html: str, tab: Browser, tmp_path: Path) -> None:
     (tmp_path / "page.html").write_text(html, encoding="utf-8")
     tab.open((tmp_path / "page.html").as_uri())
-    tab.run("location.hash = '#cost-along-each-parameter'")
-    opened = "document.getElementById('cost-along-each-parameter').open"
+    tab.run("location.hash = '#convergence'")
+    opened = "document.getElementById('convergence').open"
     assert tab.run(f"new Promise((done) => setTimeout(() => done({opened}), 100))")
