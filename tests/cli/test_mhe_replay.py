@@ -15,6 +15,7 @@ from amhe_cli.core.bundled import bundled_root
 from amhe_cli.core.settings import LogSettings, MheSettings
 from amhe_cli.core.signals import Signal
 from amhe_cli.estimation.online.horizon import MovingHorizon
+from amhe_cli.estimation.online.replay import paced
 from amhe_cli.logs import read_metadata, read_signals, survey
 from amhe_cli.system.system import System
 from tests.conftest import PENDULUM_TRUTH, write_pendulum_log
@@ -200,7 +201,7 @@ def test_times_count_from_the_logs_start_and_truth_may_be_stated_once() -> None:
     np.testing.assert_array_equal(column("out", "load_mass_true"), 0.55)  # of the log's metadata
 
 
-def test_a_belief_is_started_from() -> None:
+def test_a_belief_is_started_from_and_a_log_that_says_nothing_moves_nothing(capsys) -> None:
     parameter = "- {{name: {}, unit: '-', scale: log, estimate: {}}}\n"
     values = {"load_mass": 0.5, "damping": 0.04, "friction_loss": 0.03, "armature": 0.005}
     rows = (0.0001 * np.eye(4)).tolist()
@@ -213,6 +214,8 @@ def test_a_belief_is_started_from() -> None:
     assert run(["mhe-replay", PENDULUM, *options]) == 0
     assert {p["name"]: p["start"] for p in record("out")["parameters"]} == pytest.approx(values)
     assert column("out", "load_mass_sd")[0] == pytest.approx(0.2 * 0.5, rel=0.1)  # not 1 %: it is floored
+    assert "no window was used" in capsys.readouterr().err
+    assert record("out")["still"] == record("out")["windows"]
 
 
 # -- input that is not as it should be ------------------------------------------------------------------
@@ -258,13 +261,6 @@ def test_an_update_that_takes_longer_than_its_period_is_reported_with_the_number
     assert any(warning in text for text in record("out")["warnings"])
 
 
-def test_a_log_that_says_nothing_is_no_result(capsys) -> None:
-    arguments = ["mhe-replay", PENDULUM, "--to", "1", "-q", "-o", "out", "--set", "mhe.excitation=1e9"]
-    assert run(arguments) == 0
-    assert "no window was used" in capsys.readouterr().err
-    assert record("out")["still"] == record("out")["windows"]
-
-
 def test_an_interrupted_replay_keeps_what_there_is(monkeypatch, capsys) -> None:
     update, seen = MovingHorizon.update, []
 
@@ -282,18 +278,13 @@ def test_an_interrupted_replay_keeps_what_there_is(monkeypatch, capsys) -> None:
     assert "interrupted" in capsys.readouterr().out
 
 
-@pytest.mark.medium
 def test_a_longer_window_has_a_longer_update_period_unless_that_is_given(capsys) -> None:
-    idle = ["--set", "mhe.excitation=1e9"]  # no window is used: only when they are is asked
-
-    def period(*more: str) -> float:
-        assert run(["mhe-replay", PENDULUM, "--to", "1.5", "-q", "-o", "out", "--force", *idle, *more]) == 0
-        return record("out")["settings"]["update_period"]
-
-    assert period() == period("--window", "0.4") == 0.2
-    assert period("--window", "1.0") == pytest.approx(0.4)
-    assert period("--set", "mhe.window=0.75") == pytest.approx(0.3)
-    assert period("--window", "1.0", "--update-period", "0.25") == 0.25
-    capsys.readouterr()
-    assert run(["mhe-replay", PENDULUM, "--to", "1.5", "--window", "1.0", "-o", "out", "--force", *idle]) == 0
+    own = System.load("pendulum").settings.mhe
+    for window, period in ((0.4, 0.2), (0.75, 0.3), (1.0, 0.4)):
+        system = paced(System.load("pendulum", {"mhe": {"window": window}}), own)
+        assert system.settings.mhe.update_period == pytest.approx(period)
+    idle = ["--to", "1.5", "--set", "mhe.excitation=1e9", "--window", "1.0", "--force", "-o", "out"]
+    assert run(["mhe-replay", PENDULUM, *idle]) == 0
     assert "windows of 1 s, updates every 0.4 s" in capsys.readouterr().out
+    assert run(["mhe-replay", PENDULUM, *idle, "--update-period", "0.25"]) == 0
+    assert record("out")["settings"]["update_period"] == 0.25

@@ -27,17 +27,12 @@ from tests.conftest import MODELS, PENDULUM_TRUTH
 QUICK = ["-q", "--threads", "1", "--config", "quick.yaml"]
 QUICK_SETTINGS = "control: {samples: 5, horizon: 6, substeps: 1}\nprobe: {pairs: 0}\n"
 PENDULUM = [
-    "probe",
-    "--system",
-    "pendulum",
-    "--for",
-    "3",
-    "-q",
-    "--threads",
-    "1",
+    *["probe", "--system", "pendulum", "--for", "3", "-q", "--threads", "1"],
     "--set",
     "probe.candidates=4",
 ]
+#: One motion, for one value of the parameters.
+ONE = ["--set", "probe.candidates=1", "--set", "probe.pairs=0"]
 
 
 @pytest.fixture
@@ -97,7 +92,7 @@ def test_a_plants_step_need_not_divide_the_commands_period() -> None:
     text = plant.read_text()
     assert 'timestep="0.002"' in text
     plant.write_text(text.replace('timestep="0.002"', 'timestep="0.012"'))
-    assert run([*PENDULUM, "--plant", str(plant), "-o", "probe"]) == 0
+    assert run([*PENDULUM, *ONE, "--plant", str(plant), "-o", "probe"]) == 0
     (commands,) = (t for t in survey(Path("probe/probe.mcap")).topics if "command" in t.name)
     assert commands.count == pytest.approx(250, abs=1)
     assert commands.rate == pytest.approx(83.0, rel=0.3), "a step of 12 ms takes each when it can"
@@ -108,7 +103,7 @@ def test_a_plants_step_need_not_divide_the_commands_period() -> None:
 @pytest.mark.medium
 def test_the_next_command_names_a_system_of_ones_own(capsys) -> None:
     shutil.copytree(MODELS / "pendulum", "mine")
-    own = ["mine" if word == "pendulum" else word for word in PENDULUM]
+    own = ["mine" if word == "pendulum" else word for word in (*PENDULUM, *ONE)]
     assert run([*own, "-o", "probe"]) == 0
     assert "next: amhe identify probe/probe.mcap --system mine" in capsys.readouterr().out
     assert run(["mhe-replay", "probe/probe.mcap", "-q", "--system", "mine", "-o", "replay"]) == 0
@@ -120,16 +115,7 @@ def test_the_next_command_names_a_system_of_ones_own(capsys) -> None:
 
 
 def test_a_recipe_writes_commands_for_a_robots_own_program(capsys) -> None:
-    recipe = [
-        *PENDULUM,
-        "--steps",
-        "--set",
-        "probe.speed=6",
-        "--set",
-        "probe.pairs=0",
-        "--set",
-        "probe.candidates=1",
-    ]
+    recipe = [*PENDULUM, *ONE, "--steps", "--set", "probe.speed=6"]
     assert run([*recipe, "-o", "steps"]) == 0
     files = [f"excitation.{kind}" for kind in ("csv", "mcap", "npz")]
     assert names("steps") == [*files, "plan.json", "probe.mcap", "report.html", "result.json"]
@@ -148,7 +134,7 @@ def test_plain_motion_that_cannot_be_done_is_no_number(monkeypatch, capsys) -> N
         return Broken("no room") if one.name == "slow sine" else information(self, one, draws)
 
     monkeypatch.setattr(ActuatorProbe, "_information", only_quick)
-    assert run([*PENDULUM, "--dry-run", "-o", "plan"]) == 0
+    assert run([*PENDULUM, *ONE, "--dry-run", "-o", "plan"]) == 0
     (row,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("load_mass"))
     assert row.split()[-1] == "–"
     assert "plain_sd" not in json.loads(Path("plan/plan.json").read_text())["parameters"][0]
