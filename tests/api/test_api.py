@@ -79,8 +79,12 @@ def python(text: str, folder: Path) -> str:
 
 
 #: Code before that of a page, so that its searches take little time.
-LITTLE = """import functools, amhe_cli as amhe
+LITTLE = """import functools, amhe_cli as amhe, amhe_cli.estimation.conclude as conclude
 amhe.identify = functools.partial(amhe.identify, max_time=0.5)
+conclude._missing = lambda fit, watch: watch.omits()
+probe = amhe.probe
+few = {"probe": {"candidates": 1, "pairs": 0}}
+amhe.probe = lambda of, **how: probe(amhe.System.load(of.name, few), **how)
 """
 
 
