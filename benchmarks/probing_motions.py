@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import os
+from dataclasses import replace
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -39,6 +40,8 @@ MOTIONS = {
     "0.4 m/s, steady": turns((0.4, 1.0)),
     "0.4 / 0.1 m/s, 0.25 s each (`surge`)": named_motion("surge"),
     "the same, left and right (`sides`)": named_motion("sides"),
+    "0.2 m/s, steady, the trunk 3 cm lower (`low`)": named_motion("low"),
+    "`sides`, the trunk 3 cm lower": replace(named_motion("sides"), lift=-0.03),
     "0.5 / 0.1, 0.25 s each": turns((0.5, 0.25), (0.1, 0.25)),
     "0.5 / 0, 0.25 s each": turns((0.5, 0.25), (0.0, 0.25)),
     "0.4 / 0, 0.5 s each": turns((0.4, 0.5), (0.0, 0.5)),

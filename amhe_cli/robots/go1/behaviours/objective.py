@@ -33,6 +33,7 @@ class Reference:
         offset: Where the bumper's middle pushes, left of the box's middle [m].
         pushing: 1 where the box is to move already, 0 while the robot still comes to it.
         harder: Share by which it is pushed harder than its believed friction demands.
+        lift: How much higher than usual the trunk is to be [m].
     """
 
     time: float
@@ -45,6 +46,7 @@ class Reference:
     offset: float = 0.0
     pushing: float = 1.0
     harder: float = 0.0
+    lift: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

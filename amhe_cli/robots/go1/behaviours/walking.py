@@ -376,7 +376,8 @@ class Walking:
         command = self._command(state, at, box_friction(belief))
         drift = heading_velocity(state.trunk)[1] - command[1]
         left = self.stepping.update(state.time, drift, self.standing(np.array(state.time)))
-        return WalkMove(self.gait, self.weights, self.height, at, command, left)
+        gait = replace(self.gait, height=self.gait.height + at.lift)
+        return WalkMove(gait, self.weights, self.height + at.lift, at, command, left)
 
     def running_cost(self, state: State) -> dict[str, float]:
         """Terms of the running cost of a realised state, measured against the task's fixed path."""

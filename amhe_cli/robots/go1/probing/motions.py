@@ -44,11 +44,13 @@ class Motion:
         name: Short name.
         title: Title in words.
         phases: Segments of the motion, one after the other.
+        lift: How much higher than usual the trunk is [m].
     """
 
     name: str
     title: str
     phases: tuple[Segment, ...]
+    lift: float = 0.0
 
     @property
     def seconds(self) -> float:
@@ -82,7 +84,7 @@ MOTIONS = (
     STEADY,
     Motion("surge", "a surge in every stride", _surges(None, 1, 0.1)),
     Motion("sides", "surges left and right in turn", _surges(0.12, 2, 0.05) + _surges(-0.12, 2, 0.05)),
-    Motion("release", "back off and meet the box again", (Segment(0.6, -0.2), Segment(1.4, 0.4))),
+    Motion("low", "push on with a lower trunk", STEADY.phases, lift=-0.03),
 )
 
 
@@ -113,6 +115,8 @@ class MotionHelm(Helm):
     def reference(self, state: State, overlap: float = 0.0) -> Reference:
         """What the controller is to do now; a lost face is found again first."""
         at, phase = super().reference(state, overlap), self._motion.at(state.time)
+        risen = min(2.0 * max(state.time - APPROACH.seconds, 0.0), 1.0)  # in half a second
+        at = replace(at, lift=risen * self._motion.lift)
         if self.retreating:
             return at
         gap, _ = self.gap(state, overlap)
