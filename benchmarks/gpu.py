@@ -3,21 +3,24 @@
     python benchmarks/gpu.py [--rollouts 1024,4096,8192,32768] [--problems go1_push,arm] [--device cuda:0]
     python benchmarks/gpu.py --fits gpu,auto [--problems arm,tosses,feet]   # whole commands, beside the cpu's
 
-"bare" replays the captured step of mujoco-warp on the same worlds under the same inputs, with a clock,
-and nothing else; "alone" is that step and nothing else, of which no world waits for another. "Busy" is the
-share of the worlds' steps that clips asked for. The CPU beside it evaluates the same cost of fewer candidates
-with all cores. Steps that a world makes while it waits for others do not count.
+"step" is the captured step of mujoco-warp on the same worlds through the motion of the clips: with their
+inputs, a clock, and nothing else; all that the worlds step counts, also while they wait for longer clips.
+"Busy" is the share of these steps that clips asked for: only those count for the cost. "still" is the step
+alone under the last inputs, where worlds come to rest; "iterations" are those of its solver in motion and
+there, on the average. The CPU beside it evaluates the same cost of fewer candidates with all cores.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -40,8 +43,8 @@ from amhe_cli.system.system import System
 
 CLIPS = 16
 JOINTS = 12
-#: Steps by which a step alone is timed.
-ALONE = 200
+#: Steps by which a step at rest is timed, and steps after which the solver's iterations are read.
+STILL, LOOK = 200, 20
 
 
 def go1_push() -> tuple[System, list[Log]]:
@@ -182,10 +185,52 @@ def timed(call: Callable[[], object], repetitions: int = 3) -> float:
     return float(np.median(taken))
 
 
-def speed(name: str, rollouts: int, device: str, cores: int) -> list[str]:
-    """Steps a second of the cost on the card, of bare stepping, and of the cost on all cores."""
-    import warp as wp  # not by the processes of whole identifications
+def stepped(worlds: Any, job: Any, device: str) -> list[tuple[float, float]]:
+    """Seconds of the steps of a job, and of STILL steps after its end; and the solver's mean iterations."""
+    import warp as wp
 
+    iterations: list[float] = []
+
+    def look(step: int) -> None:
+        if step % LOOK == 0:
+            iterations.append(float(worlds._data.solver_niter.numpy().mean()))
+
+    def moving(looks: bool = False) -> float:
+        with worlds.stream():
+            work, clock, count = worlds.prepare(job, []), worlds._view(worlds.clock), itertools.count(1)
+
+            def watch() -> None:
+                clock.__iadd__(1)  # without a clock the inputs stand still, and so do most worlds
+                if looks:
+                    look(next(count))
+
+            wp.synchronize_device(device)
+            start = time.perf_counter()
+            replace(work, record=[], watch=watch).run()
+            wp.synchronize_device(device)
+        return time.perf_counter() - start
+
+    def still(looks: bool = False) -> float:
+        start = time.perf_counter()
+        for step in range(1, STILL + 1):
+            worlds.step()
+            if looks:
+                look(step)
+        wp.synchronize_device(device)
+        return time.perf_counter() - start
+
+    def measured(call: Callable[[bool], float]) -> tuple[float, float]:
+        """Median seconds, and mean iterations of the solver."""
+        call(False)
+        iterations.clear()
+        call(True)
+        return float(np.median([call(False) for _ in range(3)])), float(np.mean(iterations))
+
+    return [measured(moving), measured(still)]
+
+
+def speed(name: str, rollouts: int, device: str, cores: int) -> list[str]:
+    """Steps a second of the cost on the card, of the step in motion and at rest, and of the cost on cores."""
     from amhe_cli.engine.gpu.card import Card, bytes_per_world
 
     system, logs = PROBLEMS[name]()
@@ -203,39 +248,18 @@ def speed(name: str, rollouts: int, device: str, cores: int) -> list[str]:
     job = engine.job(cost.system.space.theta_of(z), cost.clips.starts, None, ())
     set_ = card.worlds(len(job.queue))
 
-    def bare() -> float:
-        with set_.stream():
-            work, clock = set_.prepare(job, []), set_._view(set_.clock)
-            wp.synchronize_device(device)
-            start = time.perf_counter()
-            # without a clock the inputs stand still, and so do most worlds
-            replace(work, record=[], watch=lambda: clock.__iadd__(1)).run()
-            wp.synchronize_device(device)
-        return time.perf_counter() - start
-
-    def alone() -> float:
-        start = time.perf_counter()
-        for _ in range(ALONE):
-            set_.step()
-        wp.synchronize_device(device)
-        return (time.perf_counter() - start) / (ALONE * set_.count)
-
-    bare()
-    job_steps = job.ends[:, -1]
-    busy = steps / float(job_steps.max() * set_.count)
-    step = 1.0 / float(np.median([alone() for _ in range(3)]))
-    bare_seconds = float(np.median([bare() for _ in range(3)]))
+    made = float(job.ends[:, -1].max() * set_.count)
+    (in_motion, active), (at_rest, idle) = stepped(set_, job, device)
+    step, rest, rate = made / in_motion, STILL * set_.count / at_rest, steps / full
     beside = matching(system, logs, open_engine(system, threads=cores))
     few = z[: max(1, min(len(z), 1024 // CLIPS))]
     host = timed(lambda: beside.costs(few))
     cpu = steps / len(z) * len(few) / host
     memory = bytes_per_world(card.blueprint, set_.room, device)
     return [
-        name, f"{rollouts:,}", f"{set_.count:,}",
-        f"{step / 1e6:.2f} M", f"{busy:.2f}",
-        f"{steps / bare_seconds / 1e6:.2f} M", f"{steps / full / 1e6:.2f} M",
-        f"{bare_seconds / full:.2f}", f"{steps / full / step:.2f}",
-        f"{cpu / 1e6:.3f} M", f"{steps / full / cpu:.1f}x", f"{memory / 1024:.0f} KiB", f"{first:.1f} s",
+        name, f"{rollouts:,}", f"{set_.count:,}", f"{step / 1e6:.2f} M", f"{steps / made:.2f}",
+        f"{rate / 1e6:.2f} M", f"{rate / step:.2f}", f"{rest / 1e6:.2f} M", f"{active:.1f}, {idle:.1f}",
+        f"{cpu / 1e6:.3f} M", f"{rate / cpu:.1f}x", f"{memory / 1024:.0f} KiB", f"{first:.1f} s",
         f"{set_.room.contacts}/{set_.room.rows}",
     ]  # fmt: skip
 
@@ -365,10 +389,8 @@ def main() -> None:
     show(
         f"Matching cost on {asked.device}, {asked.cores} CPU cores beside it",
         (
-            "system", "rollouts", "worlds", "alone", "busy", "bare steps/s", "cost steps/s",
-            "cost/bare", "cost/alone",
-            "CPU cost", "faster",
-            "a world", "first", "room",
+            "system", "rollouts", "worlds", "step/s", "busy", "cost steps/s", "cost/step", "still",
+            "iterations", "CPU cost", "faster", "a world", "first", "room",
         ),
         lines,
     )  # fmt: skip

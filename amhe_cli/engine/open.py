@@ -25,6 +25,8 @@ logger = logging.getLogger(__name__)
 
 #: Kinds of engine that can be opened.
 KINDS = ("cpu", "gpu", "auto")
+#: One of so many threads compiles kernels beside rollouts: priorities keep no share of the cores free.
+COMPILE = 8
 
 
 def open_engine(
@@ -72,7 +74,7 @@ def open_engine(
 
     def loaded(count: int) -> Engine:
         engine = _gpu_engine(None, *about, senses)
-        engine.load(count)
+        engine.load(count, -(-threads // COMPILE))
         return engine
 
     opening = Opening(lambda count: in_background(lambda: loaded(count)))

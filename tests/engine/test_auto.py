@@ -44,7 +44,7 @@ class Cards:
         self.calls.append(len(theta) * len(starts.lengths))
         return self.engine.predict(theta, starts, *rest)
 
-    def load(self, count: int) -> None:
+    def load(self, count: int, compilers: int) -> None:
         """Nothing to load."""
 
     def upon(self, model: Any, edits: Any = None) -> Cards:

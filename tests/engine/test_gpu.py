@@ -239,7 +239,7 @@ def test_turns_get_smaller_where_the_memory_is_full(
 
     monkeypatch.setattr(card, "Worlds", refuses)
     with pytest.raises(SimulationError, match=little):
-        engine.load(3)
+        engine.load(3, 1)
     monkeypatch.setattr("mujoco_warp.put_model", refuses)
     with pytest.raises(SimulationError, match=little):
         on(PENDULUM)

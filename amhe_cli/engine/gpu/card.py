@@ -82,7 +82,10 @@ class Card:
         #: Part of the share of memory that is asked for, less where it was refused.
         self.part = 1.0
         self._kept: dict[int, Worlds] = {}
-        self._compilers = os.cpu_count() or 1
+        #: Threads that compile kernels; the command's own cores, which may be fewer than the computer's.
+        self.compilers = (
+            len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        )
         self._bytes: dict[Room, int] = {}
         #: Seconds by which larger worlds have taken longer, by the size that was wanted.
         self._longer: dict[int, float] = defaultdict(float)
@@ -122,11 +125,7 @@ class Card:
         """Begin with what has proved right upon another model of this layout."""
         if self._kept:
             return
-        self.part, self.room, self._compilers = other.part, other.room, other._compilers
-
-    def stand_back(self) -> None:
-        """Compile with a quarter of the cores: of a share of them, priorities keep none."""
-        self._compilers = -(-self._compilers // 4)
+        self.part, self.room, self.compilers = other.part, other.room, other.compilers
 
     def narrow(self) -> None:
         """From now on half as many rollouts at once."""
@@ -158,8 +157,8 @@ class Card:
         if worlds is None:
             while len(self._kept) >= KEPT:
                 del self._kept[next(iter(self._kept))]
-            worlds = Worlds(self.blueprint, size, self.room, self._device, compilers=self._compilers)
-            self._compilers = self._longer[size] = 0
+            worlds = Worlds(self.blueprint, size, self.room, self._device, compilers=self.compilers)
+            self.compilers = self._longer[size] = 0
         self._kept[size] = worlds  # the last used is the last to go
         return worlds
 

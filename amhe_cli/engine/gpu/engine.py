@@ -67,10 +67,10 @@ class GpuEngine:
         """See `Engine.device_bytes`; numbers come together on the first card."""
         return self.cards[0].memory
 
-    def load(self, count: int) -> None:
-        """Get ready for calls of so many rollouts, beside rollouts on the processor."""
+    def load(self, count: int, compilers: int) -> None:
+        """Get ready for calls of so many rollouts; kernels compile in so many threads."""
         model, card, count = self._model, self.cards[0], min(count, self.cards[0].at_once(0))
-        card.stand_back()
+        card.compilers = compilers
         inputs = np.zeros((count, 1, mujoco.mj_stateSize(model, self._blueprint.input_spec)))
         theta = np.asarray(self._edits.space.nominal)[None]
         self.rollout(theta, model.qpos0, np.zeros(model.nv), inputs, np.ones(count, dtype=np.int64))
