@@ -25,7 +25,7 @@ logger = logging.getLogger(__name__)
 
 #: Kinds of engine that can be opened.
 KINDS = ("cpu", "gpu", "auto")
-#: One of so many threads compiles kernels beside rollouts: priorities keep no share of the cores free.
+#: One of so many threads of the command compiles kernels beside rollouts.
 COMPILE = 8
 
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import logging
-import os
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from threading import Lock, get_native_id
+from threading import Lock
 from typing import Any
 
 import mujoco
@@ -94,7 +92,8 @@ def load_together(device: Any, launches: Callable[[], object], compilers: int) -
             )
         load(module, device, block_dim)
 
-    with ThreadPoolExecutor(compilers, initializer=_stand_back) as threads:
+    # not at a lower priority than rollouts beside them: they would wait for a core with Python's lock in hand
+    with ThreadPoolExecutor(compilers) as threads:
         for module, block_dim in needed:
             threads.submit(load_or_compile, module, block_dim)
 
@@ -102,12 +101,6 @@ def load_together(device: Any, launches: Callable[[], object], compilers: int) -
 def _compiled(module: Any, block_dim: int) -> bool:
     """Whether warp keeps a module's code on disk."""
     return Path(str(wp.config.kernel_cache_dir), module.get_module_identifier(block_dim)).is_dir()
-
-
-def _stand_back() -> None:
-    """Leave the cores to rollouts on them, where the system knows priorities of threads."""
-    if sys.platform == "linux":
-        os.setpriority(os.PRIO_PROCESS, get_native_id(), 19)
 
 
 @dataclass(frozen=True, eq=False)
