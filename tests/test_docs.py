@@ -184,7 +184,8 @@ def quick(patch: pytest.MonkeyPatch) -> None:
     patch.setenv("AMHE_CLIPS__COUNT", "4")
     patch.setenv("AMHE_IDENTIFY__ITERATIONS", "2")
     patch.setenv("AMHE_IDENTIFY__FIRST_STATE", "never")
-    patch.setenv("AMHE_PROBE__CANDIDATES", "4")
+    patch.setenv("AMHE_PROBE__CANDIDATES", "1")
+    patch.setenv("AMHE_PROBE__PAIRS", "0")
     patch.setattr("amhe_cli.estimation.conclude._missing", lambda fit, watch: watch.omits())
 
 
