@@ -208,6 +208,7 @@ def test_a_belief_that_was_made_from_the_same_log_counts_it_twice(
 
 
 @pytest.mark.medium
+@pytest.mark.usefixtures("unexplained")
 def test_system_and_logs_without_files_are_saved_as_well(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -232,11 +233,6 @@ def test_system_and_logs_without_files_are_saved_as_well(
     belief = amhe.Belief.load(tmp_path / "out" / "belief.yaml", system)
     assert belief.provenance["logs"] == {"arrays": log.digest()}
     assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
-
-
-@pytest.mark.medium
-def test_an_identification_is_the_commands(result: amhe.Result, system: amhe.System, log: amhe.Log) -> None:
-    assert amhe.identify(system, [log], threads=2).belief.estimate.tolist() == result.belief.estimate.tolist()
 
 
 def test_wrong_arguments_are_named(system: amhe.System, log: amhe.Log) -> None:

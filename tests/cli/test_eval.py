@@ -98,15 +98,6 @@ def test_the_report_is_made_again_of_the_cells_alone(done: Path, capsys) -> None
         assert (Path("out") / path).read_bytes() == (done / path).read_bytes()
 
 
-@pytest.mark.medium
-def test_a_cluster_gives_the_same_cells_as_this_machine(done: Path, tmp_path: Path) -> None:
-    pytest.importorskip("distributed")
-    with Cluster(tmp_path) as cluster:
-        cluster.worker()
-        assert run(["eval", *GRID, *QUICK, "-q", "-o", "out", "--cluster", cluster.address]) == 0
-    assert cells_of(Path("out")) == cells_of(done)
-
-
 @pytest.fixture
 def certificates(tmp_path: Path) -> dict[str, str]:
     """An authority and a certificate that it signed, made as docs/scaling.md says, by dask's names."""
@@ -124,7 +115,9 @@ def certificates(tmp_path: Path) -> dict[str, str]:
 
 
 @pytest.mark.slow
-def test_a_cluster_behind_tls(done: Path, tmp_path: Path, certificates: dict[str, str], capsys) -> None:
+def test_a_cluster_behind_tls_gives_the_same_cells_as_this_machine(
+    done: Path, tmp_path: Path, certificates: dict[str, str], capsys
+) -> None:
     pytest.importorskip("distributed")
     import dask
 
@@ -188,16 +181,6 @@ def test_each_result_is_shown_with_the_time_left() -> None:
     state, count, total = shown(result(Cell("t4", "true", 2)))
     assert re.fullmatch(r"2/4: .*t4.*: success, 0\.022 m from the goal, 14\.1 s; about 0 min left", state)
     assert (count, total) == (2, 4)
-
-
-def test_a_study_of_other_code_is_not_mixed_with_this(done: Path, capsys) -> None:
-    shutil.copytree(done, "out")
-    study = json.loads(Path("out/study.json").read_text())
-    study["code"]["sources"] = "ffffffffffff"
-    Path("out/study.json").write_text(json.dumps(study))
-    assert run(["eval", *GRID, *QUICK, "-q", "-o", "out", "--resume"]) == 2
-    assert "holds cells of sources ffffffffffff" in the_line(capsys)
-    assert run(["eval", "--report", "out", "-q"]) == 0
 
 
 def test_where_no_scheduler_answers_the_command_fails_in_one_line(monkeypatch, capsys) -> None:

@@ -97,18 +97,6 @@ def test_the_report_is_one_page_that_needs_no_network(done: Path) -> None:
 
 
 @pytest.mark.medium
-def test_a_seed_gives_the_same_result_whatever_the_threads(done: Path) -> None:
-    assert (
-        run(["run", "--task", "t1", "--mode", "true", "--seed", "3", "-o", "again", "--threads", "2", *QUICK])
-        == 0
-    )
-    first, again = (json.loads((out / "result.json").read_text()) for out in (done, Path("again")))
-    for own in ("seconds", "cycle_ms", "out"):
-        del first[own], again[own]
-    assert first == again
-
-
-@pytest.mark.medium
 def test_a_belief_of_a_file_is_believed_the_table_is_on_stdout_and_progress_on_stderr(capsys) -> None:
     Path("belief.yaml").write_text(BELIEF.format(system="go1_push", mass=5.5))
     arguments = ["run", "--task", "t1", "--mode", "baseline", "--belief", "belief.yaml"]
