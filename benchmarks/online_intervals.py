@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from zipfile import ZipFile
 
 import numpy as np
 from rich.console import Console
@@ -19,8 +21,7 @@ from rich.table import Table
 
 from amhe_cli.core.statistics import Z90
 from amhe_cli.study.goals import BEGUN, SETTLED, change_of, deviations
-from amhe_cli.study.results import CellResult
-from amhe_cli.study.store import open_store
+from amhe_cli.study.results import CellResult, read_result
 
 STUDY = Path(__file__).resolve().parent.parent / "docs" / "results" / "main"
 #: Sizes of the systematic part, as a share of mass and friction.
@@ -37,7 +38,7 @@ def main() -> None:
         "task", "when", "mass off", "friction off", *(f"held, {part:g}" for part in PARTS), title="%"
     )
     shares = []
-    for task, when, off, sd in _phases(open_store(arguments.study).results()):
+    for task, when, off, sd in _phases(_results(arguments.study)):
         own = np.maximum(sd**2 - arguments.had**2, 0.0)
         held = [(np.abs(off) < Z90 * np.sqrt(own + part**2)).mean(axis=0) for part in PARTS]
         shares.append(held)
@@ -46,6 +47,16 @@ def main() -> None:
         )
     table.add_row("all alike", "", "", "", *map(_percent, np.mean(shares, axis=0)))
     Console(width=110).print(table)
+
+
+def _results(study: Path) -> list[CellResult]:
+    """Those of a study, packed ones too."""
+    with TemporaryDirectory() as scratch:
+        if (packed := study / "cells.zip").is_file():
+            ZipFile(packed).extractall(scratch)
+        return [
+            read_result(f) for part in (Path(scratch), study / "cells") for f in sorted(part.glob("*.json"))
+        ]
 
 
 def _phases(results: list[CellResult]):

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -120,7 +118,7 @@ def _rounded(values: FloatArray, digits: int) -> Any:
     return rows[0] if len(rows) > 1 and len(set(rows)) == 1 else rows
 
 
-def read_result(path: Path | zipfile.Path) -> CellResult:
+def read_result(path: Path) -> CellResult:
     """The result in a file.
 
     Raises:
@@ -129,10 +127,9 @@ def read_result(path: Path | zipfile.Path) -> CellResult:
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
         return result_of(_Record.model_validate(record).model_dump())
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, zipfile.BadZipFile, zlib.error):
-        remedy = "restore the archive" if isinstance(path, zipfile.Path) else "delete the file"
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise AmheError(
-            f"{path}: is no result of a cell; {remedy}, and run the study again with `resume=True`"
+            f"{path}: is no result of a cell; delete the file, and run the study again with `resume=True`"
         ) from None
 
 

@@ -1,14 +1,11 @@
 """The folder of a study, and its cells run on any executor, each result kept as soon as it arrives.
 
-`study.json` describes the study, `cells/` holds one result file for each cell. The result files of a finished
-study can be packed into `cells.zip`, which is read as `cells/` is.
+`study.json` describes the study, `cells/` holds one result file for each cell.
 """
 
 from __future__ import annotations
 
 import json
-import shutil
-import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -17,15 +14,13 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from amhe_cli.core.errors import AmheError, ConfigError
-from amhe_cli.core.files import whole, write_whole
+from amhe_cli.core.files import write_whole
 from amhe_cli.robots.go1.tasks import LONGEST
 from amhe_cli.study.cells import Cell, Setting, setting_of
 from amhe_cli.study.executors import Pool, gathered
 from amhe_cli.study.results import CellResult, blank, read_result, result_of
 
-STUDY, CELLS, PACKED = "study.json", "cells", "cells.zip"
-#: Date of all packed files: equal results give equal bytes.
-_PACKED_DATE = (1980, 1, 1, 0, 0, 0)
+STUDY, CELLS = "study.json", "cells"
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,26 +75,7 @@ class Store:
         Raises:
             AmheError: A result cannot be read.
         """
-        return [read_result(file) for file in self._files()]
-
-    def pack(self) -> None:
-        """Move all result files into `cells.zip`."""
-        files = self._files()
-        with whole(self.folder / PACKED) as packed, zipfile.ZipFile(packed, "w") as archive:
-            for file in files:
-                entry = zipfile.ZipInfo(file.name, _PACKED_DATE)
-                archive.writestr(entry, file.read_bytes(), zipfile.ZIP_LZMA)
-        shutil.rmtree(self.folder / CELLS, ignore_errors=True)
-
-    def _files(self) -> list[Path | zipfile.Path]:
-        """Result files, packed or not, sorted by name; a packed one that was run again does not count."""
-        path = self.folder / PACKED
-        try:
-            packed = zipfile.Path(path).iterdir() if path.is_file() else ()
-            files = {file.name: file for file in (*packed, *(self.folder / CELLS).glob("*.json"))}
-        except (OSError, zipfile.BadZipFile) as error:
-            raise AmheError(f"{path}: cannot be read ({error}); restore the file") from None
-        return [files[name] for name in sorted(files)]
+        return [read_result(file) for file in sorted((self.folder / CELLS).glob("*.json"))]
 
     def missing(self, cells: list[Cell]) -> list[Cell]:
         """Cells that have no result yet, or failed."""
@@ -152,8 +128,8 @@ def start(folder: Path, study: Study, resume: bool, force: bool, cells: Sequence
     except OSError as error:
         raise ConfigError(f"{folder}: cannot be written ({error.strerror}); choose another with -o") from None
     if force:
-        for path in (folder / PACKED, *(folder / CELLS).glob("*.json")):
-            path.unlink(missing_ok=True)
+        for path in (folder / CELLS).glob("*.json"):
+            path.unlink()
     record = asdict(study) | {"setting": dict(study.setting)}
     write_file(folder / STUDY, json.dumps(record, indent=1) + "\n")
     return Store(folder, study)

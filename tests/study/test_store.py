@@ -3,7 +3,6 @@
 import errno
 import json
 import os
-import zipfile
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
@@ -110,35 +109,6 @@ def test_a_full_disk_stops_cleanly_and_the_study_goes_on_later(tmp_path: Path, m
     again = start(tmp_path, STUDY, resume=True, force=False)
     run(again, again.missing(cells(0, 2, 3)))
     assert [result.cell.seed for result in again.results()] == [0, 2, 3]
-
-
-def test_a_packed_study_reads_and_goes_on_as_a_folder_of_files(tmp_path: Path) -> None:
-    store = start(tmp_path, STUDY, resume=False, force=False)
-    run(store, cells(0, 1, 2))
-    before = [(result.cell, result.reason, result.outcome) for result in store.results()]
-    store.pack()
-    assert {path.name for path in tmp_path.iterdir()} == {"study.json", "cells.zip"}
-    assert [(result.cell, result.reason, result.outcome) for result in store.results()] == before
-    packed = (tmp_path / "cells.zip").read_bytes()
-    store.pack()
-    assert (tmp_path / "cells.zip").read_bytes() == packed
-    again = start(tmp_path, STUDY, resume=True, force=False)
-    assert again.missing(cells(0, 1, 2, 3)) == cells(1, 3)
-    run(again, cells(3))
-    again.write(cells(1)[0], record({"cell": cells(1)[0].plain(), "code": CODE}))  # failed before
-    assert again.missing(cells(0, 1, 2, 3)) == []
-    assert [result.cell.seed for result in again.results()] == [0, 1, 2, 3]
-    assert start(tmp_path, STUDY, resume=False, force=True).results() == []
-
-
-def test_a_packed_file_that_is_cut_is_refused_by_its_name(tmp_path: Path) -> None:
-    store = start(tmp_path, STUDY, resume=False, force=False)
-    run(store, cells(0, 2))
-    store.pack()
-    packed = tmp_path / "cells.zip"
-    packed.write_bytes(packed.read_bytes()[:-30])
-    with pytest.raises(AmheError, match=r"cells\.zip: cannot be read"):
-        store.results()
 
 
 def test_a_folder_that_holds_something_is_refused(tmp_path: Path) -> None:
@@ -258,14 +228,6 @@ def test_a_file_that_is_none_is_refused_by_its_name(tmp_path) -> None:
     path.write_text('{"cell": ')
     with pytest.raises(AmheError, match="t1-true-00-0.json: is no result.*delete the file.*resume=True"):
         read_result(path)
-
-
-def test_a_packed_file_that_is_none_is_not_to_be_deleted(tmp_path) -> None:
-    with zipfile.ZipFile(tmp_path / "cells.zip", "w") as archive:
-        archive.writestr("t1-true-00-0.json", '{"cell": ')
-    (packed,) = zipfile.Path(tmp_path / "cells.zip").iterdir()
-    with pytest.raises(AmheError, match="cells.zip/t1-true-00-0.json: is no result.*; restore the archive"):
-        read_result(packed)
 
 
 TASKS, MODES = ("t1", "t4", "t5"), ("true", "baseline", "stale", "adaptive")
