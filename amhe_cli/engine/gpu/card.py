@@ -126,6 +126,8 @@ class Card:
         if self._kept:
             return
         self.part, self.room, self.compilers = other.part, other.room, other.compilers
+        if self.blueprint.own == other.blueprint.own:
+            self._bytes = other._bytes
 
     def narrow(self) -> None:
         """From now on half as many rollouts at once."""
