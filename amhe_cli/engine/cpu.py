@@ -174,14 +174,13 @@ class CpuEngine:
         some = slice(None) if every_one else ids  # a view of all is quicker than a copy
         rows = None if every_one else ids.astype(np.int32)
 
-        def run(inputs: FloatArray, out: dict[Any, FloatArray] | None = None) -> dict[str, FloatArray]:
+        def run(inputs: FloatArray) -> dict[Any, FloatArray]:
             return batch.rollout(
                 inputs.shape[1],
                 control=inputs if inputs.shape[2] else None,
                 control_spec=self._input_spec,
                 record=record,
                 ids=rows,
-                out=out,
             )
 
         if self._gear is None and self._servos is None:
@@ -196,19 +195,16 @@ class CpuEngine:
             run(control[:, :1])  # for the forces at the start, upon which friction depends
             batch.state[some] = before
         steps, at_once = control.shape[1], every if drive is None else 1
-        made: dict[str, FloatArray] = {}
-        piece: dict[str, FloatArray] = {}
-        for first in range(0, steps, at_once):
+        edges = range(0, steps, at_once)
+        pieces = [np.ascontiguousarray(control[:, first : first + at_once]) for first in edges]
+        made = list[dict[Any, FloatArray]]()
+        for first, piece in zip(edges, pieces, strict=True):
             if hold is not None and first % every == 0:
                 hold()
-            inputs = control[:, first : first + at_once]
             if drive is not None:
-                drive(inputs[:, 0])
-            piece = run(inputs, piece if inputs.shape[1] == at_once else None)  # into the same memory
-            made = made or {name: np.empty((len(ids), steps, one.shape[2])) for name, one in piece.items()}
-            for name, one in piece.items():
-                made[name][:, first : first + at_once] = one
-        return made
+                drive(piece[:, 0])
+            made.append(run(piece))
+        return {name: np.concatenate([one[name] for one in made], axis=1) for name in record}
 
     def _driver(
         self, servos: Servos, batch: mujoco.batch.Batch, some: slice | IntArray
@@ -238,11 +234,13 @@ class CpuEngine:
         if len(gear.dofs) == self._model.nv and isinstance(some, slice):
             place = some  # a view of all is quicker than a copy
         forces, now = [batch.bind(name) for name in _FORCES], None
+        alike = isinstance(place, slice)
+        views = [force[place] for force in forces]
         holds[some] = own
 
         def hold() -> None:
             nonlocal now
-            motor, damper, smooth, constraint, speed = (force[place] for force in forces)
+            motor, damper, smooth, constraint, speed = views if alike else (force[place] for force in forces)
             external = smooth - damper - motor + beyond(constraint, holds[place])
             before, now = now, bound(motor, external, speed)
             holds[place] = now if before is None else ahead(now, before, every)
