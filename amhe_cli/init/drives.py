@@ -405,7 +405,7 @@ def linear_entry(
         "nominal": short(nominal),
         "bounds": [short(bound) for bound in bounds],
         "scale": "linear",
-        "prior_sd": sd,
+        "prior_sd": short(sd),
         "targets": [target],
     }
 

@@ -319,6 +319,8 @@ def test_a_drive_takes_the_place_of_the_guesses(gains: str, tmp_path: Path, caps
     assert prior["elbow_armature"] == pytest.approx((0.024, 0.3))
     assert prior["shoulder_armature"][1] == 1.0  # a guess, as before
     assert "shoulder_torque_scale" not in prior
+    sd = prior["elbow_stribeck_friction"][1]
+    assert sd == float(f"{sd:.3g}"), "numbers that people read"
     said = capsys.readouterr().out
     assert ("the drives' gain is 16, by the log's column P_Coefficient" in said) == bool(gains)
 
