@@ -16,7 +16,7 @@ import socket
 import struct
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field, fields, replace
 from typing import Literal
@@ -268,6 +268,8 @@ _FORGOTTEN = 10.0
 _CLOCK_HZ = 10_000_000
 _DATA_PORT = 1511
 _RIGID_BODY = 1
+#: Time from exposure to transmission [s].
+_LATENCY = 0.004
 #: Pose of a body that is not seen.
 _NOWHERE = np.zeros(3), np.zeros(4)
 
@@ -278,16 +280,11 @@ class Motive:
     Args:
         host, port: Address to bind: the command port.
         names: Names of the rigid bodies; their ids count from 1.
-        version: Version of the protocol: 3.1, or 4.1, which gives the sizes of its sections.
-        latency: Time from exposure to transmission [s].
     """
 
-    def __init__(
-        self, host: str, port: int, names: Sequence[str],
-        version: tuple[int, int] = (4, 1), latency: float = 0.004,
-    ) -> None:  # fmt: skip
+    def __init__(self, host: str, port: int, names: Sequence[str]) -> None:
         self._socket = bound(host, port, ("mocap_port", "pose_port"))
-        self._names, self._version, self._latency = list(names), version, latency
+        self._names = list(names)
         self._clients: dict[tuple[str, int], float] = {}
         self._waiting: deque[tuple[float, bytes]] = deque()
         self._number = 0
@@ -306,7 +303,7 @@ class Motive:
     def show(self, bodies: Sequence[Pose | None], now: float) -> None:
         """Take a frame, exposed at a time [s], with bodies that are not seen as None; `serve` sends it."""
         self._number += 1
-        self._waiting.append((now + self._latency, self._frame(bodies, now)))
+        self._waiting.append((now + _LATENCY, self._frame(bodies, now)))
 
     def close(self) -> None:
         """Close the socket."""
@@ -341,7 +338,7 @@ class Motive:
 
     def _server_info(self) -> bytes:
         name = b"amhe emulated Motive".ljust(256, b"\0")
-        versions = bytes([3, 1, 0, 0, *self._version, 0, 0])
+        versions = bytes([3, 1, 0, 0, 4, 1, 0, 0])  # its own, and that of the protocol
         clock = struct.pack("<QHB4B", _CLOCK_HZ, _DATA_PORT, 0, 0, 0, 0, 0)
         return _message(_SERVER_INFO, name + versions + clock)
 
@@ -349,7 +346,7 @@ class Motive:
         parts = [struct.pack("<I", len(self._names))]
         for number, name in enumerate(self._names, start=1):
             model = name.encode() + b"\0" + struct.pack("<II3fI", number, 0xFFFFFFFF, 0.0, 0.0, 0.0, 0)
-            parts += [struct.pack("<I", _RIGID_BODY), self._size(model), model]
+            parts += [struct.pack("<II", _RIGID_BODY, len(model)), model]
         return _message(_MODELS, b"".join(parts))
 
     def _frame(self, bodies: Sequence[Pose | None], now: float) -> bytes:
@@ -358,25 +355,16 @@ class Motive:
             for number, body in enumerate(bodies, start=1)
             for place, turn in [body or _NOWHERE]
         ]
-        exposed, sent = int(now * _CLOCK_HZ), int((now + self._latency) * _CLOCK_HZ)
-        sections: list[Iterable[bytes]] = [[], [], records, [], *([[]] if self._sized else []), [], [], []]
+        exposed, sent = int(now * _CLOCK_HZ), int((now + _LATENCY) * _CLOCK_HZ)
+        sections: list[list[bytes]] = [[], [], records, [], [], [], [], []]
         suffix = struct.pack("<IId3QH", 0, 0, now, exposed, sent, sent, 0) + bytes(4)
-        return _message(
-            _FRAME, struct.pack("<I", self._number) + b"".join(map(self._section, sections)) + suffix
-        )
+        return _message(_FRAME, struct.pack("<I", self._number) + b"".join(map(_section, sections)) + suffix)
 
-    def _section(self, records: Iterable[bytes]) -> bytes:
-        """A section of a frame: the number of records, from 4.1 on their size, and the records."""
-        records = list(records)
-        content = b"".join(records)
-        return struct.pack("<I", len(records)) + self._size(content) + content
 
-    def _size(self, content: bytes) -> bytes:
-        return struct.pack("<I", len(content)) if self._sized else b""
-
-    @property
-    def _sized(self) -> bool:
-        return self._version >= (4, 1)
+def _section(records: list[bytes]) -> bytes:
+    """A section of a frame: the number of records, their size, and the records."""
+    content = b"".join(records)
+    return struct.pack("<II", len(records), len(content)) + content
 
 
 def _message(kind: int, content: bytes) -> bytes:

@@ -179,11 +179,10 @@ def test_a_port_that_is_taken_is_one_line() -> None:
             RobotPort("127.0.0.1", other.getsockname()[1], Faults())
 
 
-@pytest.fixture(params=[(3, 1), (4, 1)])
-def motive(request: pytest.FixtureRequest) -> Iterator[Motive]:
-    server = Motive("127.0.0.1", 0, ("go1", "box"), request.param)
-    yield server
-    server.close()
+@pytest.fixture
+def motive() -> Iterator[Motive]:
+    with closing(Motive("127.0.0.1", 0, ("go1", "box"))) as server:
+        yield server
 
 
 TURN = np.array([np.cos(0.3), 0.0, 0.0, np.sin(0.3)])
