@@ -151,7 +151,8 @@ class PushProbe:
         """Run any motion in simulation, for so long [s] with the approach; `baseline` keeps to the belief."""
         task = self._as_it_is(motion, seconds)
         mode = "baseline" if self._walks else mode  # no box to learn of
-        return self._record(self._open(task, self._options.seed, mode), path, stopped, say)
+        run = open_run(self._run_options(task, self._options.seed, mode), task)
+        return self._record(run, path, stopped, say)
 
     def on_robot(self, motion: Motion, seconds: float, robot: Go1OnLink) -> Run:
         """Prepare a motion on the robot; nothing is sent yet.
@@ -172,7 +173,8 @@ class PushProbe:
         box = Believed(named["box_mass"], named["floor_friction"])
         seconds = min(options.seconds, APPROACH.seconds + _REHEARSED)
         seed = int(options.rng(1, number).integers(2**31))
-        run = self._open(self._probe(motion, seconds, box), seed, "true")
+        task = self._probe(motion, seconds, box)
+        run = open_run(self._run_options(task, seed, "true"), task)
         with TemporaryDirectory() as folder:
             path = Path(folder) / "rehearsal.mcap"
             ending = self._record(run, path)
@@ -213,9 +215,6 @@ class PushProbe:
             belief=own.belief if real else None, plant=own.plant if real else None,
             settings=own.settings, belief_anyway=own.belief_anyway, engine=own.engine,
         )  # fmt: skip
-
-    def _open(self, task: ProbeTask, seed: int, mode: str) -> Run:
-        return open_run(self._run_options(task, seed, mode), task)
 
     def _record(
         self,

@@ -26,6 +26,7 @@ from amhe_cli.robots.go1.behaviours.objective import (
     tilt_squared,
     wrapped,
 )
+from amhe_cli.robots.go1.behaviours.walking import Walking
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.probing.motions import (
     FASTEST,
@@ -336,6 +337,15 @@ def test_a_motion_repeats_behind_the_approach() -> None:
     speeds = [TRY.at(t).speed for t in (0.5, 1.0, 2.1, 2.6, 4.6, 5.6, 99.0)]
     assert speeds == [0.2, 0.25, -0.1, 0.2, 0.25, -0.1, 0.25]
     assert TRY.at(1.0 + 1000 * 3.5).speed == 0.25, "to the instant, however long"
+
+
+def test_a_motion_with_a_lower_trunk_goes_down_in_half_a_second() -> None:
+    low = helm(replace(TRY, lift=-0.03))
+    assert [low.reference(state(t)).lift for t in (0.5, 1.25, 3.0)] == pytest.approx([0.0, -0.015, -0.03])
+    belief = {"box_mass": 4.0, "floor_friction": 0.4}
+    usual, down = (Walking(one).move(state(3.0), belief) for one in (helm(TRY), low))
+    assert down.height - usual.height == pytest.approx(-0.03)
+    assert down.gait.height - usual.gait.height == pytest.approx(-0.03)
 
 
 def test_surges_keep_step_with_the_trot() -> None:
