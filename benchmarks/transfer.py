@@ -185,7 +185,7 @@ def robot_of(plant: str) -> dict[str, Any]:
     )
     away = space.z_of(np.array([truth.get(name, np.nan) for name in space.names]))
     found, sd = space.z_of(result.belief.estimate), np.sqrt(np.diag(result.belief.covariance))
-    return {
+    record = {
         "robot": plant,
         "held": {
             "walk": held_by(result.belief),
@@ -198,6 +198,7 @@ def robot_of(plant: str) -> dict[str, Any]:
         "error": dict(zip(space.names, (found - away).tolist(), strict=True)),
         "sd": dict(zip(space.names, (sd / space.prior_sd).tolist(), strict=True)),
     }
+    return _short(record)
 
 
 def run_cell(cell: Cell, robot: dict[str, Any] | None) -> dict[str, Any]:
@@ -220,15 +221,18 @@ def run_cell(cell: Cell, robot: dict[str, Any] | None) -> dict[str, Any]:
     kept = ("success", "on_time", "fell", "time_s", "goal_error_m", "speed_rmse", "cost", "error")
     return {
         "cell": cell,
-        **{key: _short(record[key]) for key in kept},
-        **_learnt(history),
-        "miss": _short(history.miss),
+        **_short({key: record[key] for key in kept} | _learnt(history) | {"miss": history.miss}),
         "warned": any("docs/tasks.md" in trouble for trouble in history.troubles),
         "cpu_s": round(time.process_time() - begun, 1),
     }
 
 
 def _short(value: Any) -> Any:
+    """Plain values whose numbers have four digits."""
+    if isinstance(value, dict):
+        return {key: _short(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_short(one) for one in value]
     return float(f"{value:.4g}") if isinstance(value, float) else value
 
 
@@ -253,10 +257,10 @@ def _learnt(history: History) -> dict[str, Any]:
         for name in ("box_mass", "floor_friction")
     }
     return {
-        "off": {name: _short(float(error[-1])) for name, error in off.items()},
-        "push_rms": _short(float(np.sqrt(np.mean(off["push"][counts] ** 2)))) if counts.any() else None,
+        "off": {name: float(error[-1]) for name, error in off.items()},
+        "push_rms": float(np.sqrt(np.mean(off["push"][counts] ** 2))) if counts.any() else None,
         "inside": {name: bool(held[-1]) for name, held in inside.items()} if history.estimates else {},
-        "held": {name: _short(float(held[counts].mean())) for name, held in inside.items()}
+        "held": {name: float(held[counts].mean()) for name, held in inside.items()}
         if history.estimates and counts.any()
         else {},
     }
