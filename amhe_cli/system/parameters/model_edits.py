@@ -143,18 +143,15 @@ class ModelEdits:
         """
         guessed = {name for name, held in self.held.items() if not held.sd}
         edits = [e for e in self._every if not {self._all.names[i] for i in e.columns[:1]} & guessed]
-        scalar = [edit for edit in edits if isinstance(edit, ScalarEdit)]
         alone = {
             cells.row
-            for edit in scalar
+            for edit in edits
+            if isinstance(edit, ScalarEdit)
             for cells in edit.written
             if cells.field == _LIMIT or (cells.field == _GAIN and cells not in edit.carried)
         }
-        carried = {
-            c.row for edit in scalar for cells in edit.carried.values() for c in cells if c.field == _LIMIT
-        }
-        every = {(cells.field, cells.row) for edit in edits for cells in edit.cells}
-        return every - {(_LIMIT, row) for row in carried - alone}
+        every = ((cells.field, cells.row) for edit in edits for cells in edit.cells)
+        return {one for one in every if one[0] != _LIMIT or one[1] in alone}
 
     def considered(self) -> Iterator[tuple[Parameter, Held, tuple[Cells, ...], Mode]]:
         """Held parameters that somebody measured: each with its value, what it sets, and how."""
