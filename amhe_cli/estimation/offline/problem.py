@@ -232,7 +232,9 @@ class Problem:
     def _moved(self) -> tuple[dict[str, BoolArray], BoolArray]:
         """Columns of each channel that a step of half a prior sd moves, (d, k), and steps that diverge, (d,).
 
-        The other side is tried of those alone that the first side leaves without an effect.
+        The other side is tried of those alone that the first side leaves without an effect. What moves not all
+        is looked at once more away from the prior's mean: a file with a centre of mass on its joint's axis has
+        a mass that this joint does not feel, until the centre moves.
         """
         d, cost = len(self.system.space), self.cost(self._some_clips)
         if self.engine.precision > COARSE:
@@ -249,6 +251,14 @@ class Problem:
             left = left[~(felt | diverged[left])]
             if not left.size:
                 break
+        gaps = np.flatnonzero(~np.all([columns.all(axis=1) for columns in moved.values()], axis=0))
+        if gaps.size and not (self.touches or diverged.any()):
+            place = self.rng(12).uniform(-1.0, 1.0, d)
+            steps = np.concatenate((np.zeros((1, d)), 0.5 * np.eye(d)[gaps]))
+            residuals = cost.residuals(self.system.space.clip(place + steps))
+            if residuals.completed.all():
+                for key, columns in _moved_columns(cost, residuals).items():
+                    moved[key][gaps] |= columns
         return moved, diverged
 
     @cached_property
