@@ -183,3 +183,33 @@ def test_unknowns_that_move_the_same_come_together_in_the_order_of_their_flags(u
     assert [rows.tolist() for rows in alike(moves)] == [
         np.flatnonzero(group == number).tolist() for number in range(len(kinds))
     ]
+
+
+def test_a_mass_with_its_centre_on_the_axis_is_felt_where_the_centre_moves() -> None:
+    """At the prior's mean the second joint does not feel it; a pattern of that alone would drop its slope."""
+    arm = mujoco.MjSpec.from_string(
+        """<mujoco><worldbody><body name='a'><joint name='a' axis='0 1 0'/>
+        <inertial pos='0.1 0 0' mass='1' diaginertia='0.01 0.01 0.01'/>
+        <body name='b' pos='0.2 0 0'><joint name='b' axis='0 1 0'/>
+        <inertial pos='0 0.05 0' mass='1' diaginertia='0.01 0.01 0.01'/></body></body></worldbody></mujoco>"""
+    )
+    parameters = {
+        "mass": {"prior_sd": 0.1, "targets": [{"set": "mass", "body": "b", "carry_inertia": False}]},
+        "centre": {"nominal": 0.0, "bounds": [-0.5, 0.5], "scale": "linear", "prior_sd": 0.02,
+                   "targets": [{"set": "center_of_mass", "body": "b", "axis": "x"}]},
+    } | {f"damping_{joint}": {"nominal": 0.1, "targets": [{"set": "damping", "joint": joint}]}
+         for joint in "ab"}  # fmt: skip
+    signals = {
+        "joints": {"joints": ["a", "b"], "noise": {"position": 3e-4}},
+        "torque": {"joint_force": ["a", "b"], "noise": {"effort": 0.01}},
+    }
+    system = amhe.System.from_model(arm, parameters=parameters, signals=signals, match="effort")
+    time = np.arange(0.0, 8.0, 0.01)
+    position = np.sin(np.outer(time, [2.0, 3.0]))
+    measured = {"joints": {"time": time, "position": position}, "torque": {"time": time, "effort": position}}
+    log = amhe.Log.from_arrays(measured, system)
+    pool = ClipPool(system, [whole(log)], system.settings.clips)
+    sparsity = Problem(system, pool, open_engine(system), 0).sparsity
+    assert sparsity is not None
+    moved = np.concatenate(list(sparsity.z.values()), axis=1)
+    assert moved[0].all() and not moved[2:].all()
