@@ -232,9 +232,9 @@ class Problem:
     def _moved(self) -> tuple[dict[str, BoolArray], BoolArray]:
         """Columns of each channel that a step of half a prior sd moves, (d, k), and steps that diverge, (d,).
 
-        The other side is tried of those alone that the first side leaves without an effect. What moves not all
-        is looked at once more away from the prior's mean: a file with a centre of mass on its joint's axis has
-        a mass that this joint does not feel, until the centre moves.
+        The other side is tried of those alone that the first side leaves without an effect.
+        What does not move all is looked at away from the prior's mean, too: a joint does not feel a mass
+        whose centre lies on its axis, until the centre moves.
         """
         d, cost = len(self.system.space), self.cost(self._some_clips)
         if self.engine.precision > COARSE:
