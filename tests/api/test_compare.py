@@ -135,7 +135,7 @@ def test_the_smallest_friction_model_that_explains_a_geared_joint_wins(
     """Its lines can be pasted into system.yaml, and the result is a file like all others."""
     truth = friction_models(amhe.System.load("pendulum", QUICK))["M3"]
     rng = np.random.default_rng(4)
-    time = np.arange(0.0, 6.0, truth.dt)
+    time = np.arange(0.0, 4.0, truth.dt)
     command = (
         0.7 * np.sin(1.3 * time + 2.0 * np.sin(0.7 * time))[:, None] + 0.2 * np.sin(11.0 * time)[:, None]
     )
@@ -158,7 +158,7 @@ def test_the_smallest_friction_model_that_explains_a_geared_joint_wins(
     quick = [
         "--set=clips.count=4",
         "--set=clips.length=[0.3,1.0]",
-        "--set=identify.iterations=8",
+        "--set=identify.iterations=4",
         "--set=identify.first_state=never",
         "--set=identify.assumed=0",  # which of them predicts best does not depend on it
     ]

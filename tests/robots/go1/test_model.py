@@ -14,7 +14,6 @@ from amhe_cli.robots.go1.behaviours.gait import Gait, standing, walk
 from amhe_cli.robots.go1.kinematics import HOME, JOINTS, TORQUE_LIMIT
 from amhe_cli.robots.go1.model import (
     Box,
-    Change,
     home,
     layout,
     planner_model,
@@ -151,18 +150,6 @@ def test_mass_changed_at_run_time_is_as_if_built_so() -> None:
     set_box_mass(changed, 6.0)
     for field in ("body_mass", "body_inertia", "body_invweight0", "dof_invweight0", "body_subtreemass"):
         np.testing.assert_allclose(getattr(changed, field), getattr(built, field), rtol=1e-9, err_msg=field)
-
-
-def test_changes_come_at_their_time_or_place() -> None:
-    switch, terrain = Change(mass=6.0, at_time=10.0), Change(floor_friction=0.8, beyond_x=1.5)
-    assert not switch.due(9.99, 5.0) and switch.due(10.0, 0.0)
-    assert not terrain.due(50.0, 1.49) and terrain.due(0.0, 1.5)
-    plant = plant_model()
-    terrain.apply(plant)
-    assert plant.body("box").mass[0] == 4.0
-    np.testing.assert_allclose(plant.pair("box_floor").friction[:2], 0.8)
-    switch.apply(plant)
-    assert plant.body("box").mass[0] == pytest.approx(6.0)
 
 
 def test_any_go1_can_be_the_plant_whatever_its_joints_are_called(tmp_path: Path) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 from typing import TypeAlias
 
@@ -104,20 +102,6 @@ def test_a_task_walks_or_sweeps_and_begins_afresh() -> None:
 def test_a_task_that_is_not_there_is_refused_with_a_list() -> None:
     with pytest.raises(ConfigError, match=r"no task 't6'.*hw1, hw2, t1, t2, t3, t4, t5"):
         find_task("t6")
-
-
-_PROGRAM = """
-import sys
-from amhe_cli.system.system import System
-System.load("go1_push", {"go1": {"kp": 3.0}, "control": {"sigma_hip": 0.01}})
-print([name for name in sys.modules if name.startswith(("amhe_cli.robots", "amhe_cli.control"))])
-"""
-
-
-@pytest.mark.medium
-def test_a_system_is_loaded_without_its_robot() -> None:
-    loaded = subprocess.run([sys.executable, "-c", _PROGRAM], capture_output=True, text=True, check=True)
-    assert loaded.stdout.strip() == "[]"
 
 
 def test_the_robot_reads_its_own_settings() -> None:
