@@ -26,7 +26,7 @@ from amhe_cli.core.belief import Belief, belief_text
 from amhe_cli.core.files import plain
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.design.design import accuracy
-from amhe_cli.estimation.design.information import clips_of, information_at
+from amhe_cli.estimation.design.information import clips_of, information_at, problem_of
 from amhe_cli.estimation.design.probe import ProbeOptions, achieved
 from amhe_cli.logs import read_log
 from amhe_cli.robots.go1.probing.motions import STEADY, Motion, named_motion
@@ -116,9 +116,8 @@ def at_the_truth(system: System, log: Path, options: ProbeOptions) -> FloatArray
         clips_of(system, read_log(log, system)),
         system.space.z_of(np.array(list(TRUTH.values()))),
     )
-    found = information_at(
-        system, windows, open_engine(system, threads=options.threads), truth, options.rng(9)
-    )
+    problem = problem_of(system, windows, open_engine(system, threads=options.threads))
+    found = information_at(problem, truth, options.rng(9))
     return accuracy(system.space, found.matrix.sum(axis=0)[None]).covariance
 
 

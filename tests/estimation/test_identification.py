@@ -221,10 +221,7 @@ def test_max_time_stops_the_search_and_leaves_out_slow_checks(pendulum, swing, c
     result = identify(pendulum, [swing(3.0)], None, IdentifyOptions(max_time=1e-3))
     assert len(result.iterations) <= 1
     assert caplog.text.count("stopped the search") == 1
-    skipped = (
-        "error against horizon, covariance from wider samples, comparison of the logs' halves, "
-        "what rests on assumed values"
-    )
+    skipped = "error against horizon, comparison of the logs' halves, what rests on assumed values"
     first = "left no time for: search for a second minimum, held-out clips from fitted first states"
     assert caplog.text.count(f"{first}, {skipped}") == 1
     assert not any(
@@ -270,10 +267,11 @@ def test_first_states_before_a_contact_are_unknowns_in_the_last_iterations_alone
     identify_settings = {**CHEAP["identify"], "iterations": 6, "polish": 2, "first_state": "polish"}
     clips = {"count": 3, "length": [0.1, 0.2]}
     system = System.load("cube_toss", {"clips": clips, "identify": identify_settings})
-    result = identify(system, [fall(system)], None, IdentifyOptions(threads=1))
-    stages = {one.stage: one for one in result.iterations}
-    each = [stages["explore"].rollouts / clips["count"], stages["polish"].rollouts / result.clips.fitted]
-    assert list(stages) == ["explore", "polish"] and each[1] > 1.5 * each[0], "twelve more unknowns of a clip"
+    result = identify(system, [fall(system)], None, IdentifyOptions(threads=1, seed=1))
+    assert [one.stage for one in result.iterations] == ["explore"] * 4 + ["polish"] * 2
+    explored, first, last = (result.iterations[i].rollouts for i in (3, 4, 5))
+    assert first / result.clips.fitted > 1.5 * explored / clips["count"], "twelve more unknowns of a clip"
+    assert last < first, "some of them only make residuals jitter"
     friction = found(result, "friction")
     assert friction.lower < 0.3 < friction.upper and friction.shrinkage > 0.8
 

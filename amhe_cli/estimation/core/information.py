@@ -28,6 +28,8 @@ from amhe_cli.matching.cost import MatchingCost, Residuals
 
 #: Residuals below this share of their declared noise are rounding, as in a log without noise.
 QUIETEST = 1e-3
+#: Information on a first state, in that of its record, below which it is rounding.
+ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,6 +72,9 @@ class Information:
     ) -> FirstStates:
         """Posterior of the first-state errors after a step of z.
 
+        Directions that move no residual, or only make them jitter, are not sampled any more: what the slopes
+        of a non-smooth model are freed of leaves a third of them (`linearise.without_jitter`).
+
         Args:
             dz: The step, shape (d,).
             narrowest: Smallest sampling sd along any direction, in sd of the recorded state.
@@ -80,6 +85,9 @@ class Information:
             block = (slice(None), rows[:, None], rows)
             values, vectors = np.linalg.eigh(self.nuisance_precision[block])
             shape[block] = vectors * np.maximum(1.0 / np.sqrt(values), narrowest)[:, None, :]
+        if alike is None:  # eigenvalues ascend: the directions of which most is known stand last
+            felt = int(np.greater(values, 1.0 + ROUNDING).sum(axis=1).max(initial=0))
+            shape = shape[:, :, shape.shape[2] - felt :]
         return FirstStates(self.first(dz[None])[0], shape)
 
 
@@ -133,7 +141,7 @@ def information(
     """
     cost, mean = slopes.cost, slopes.first.mean
     gz, gx = np.split(slopes.gain, [slopes.gain.shape[1] - mean.shape[1]], axis=1)
-    counted = _of_residuals(cost, channels or [True] * len(cost.clips.observed)) * slopes.completed[:, None]
+    counted = of_residuals(cost, channels or [True] * len(cost.clips.observed)) * slopes.completed[:, None]
     noise = 1.0 if straight else 1.0 + slopes.bend
 
     some = turns(len(mean), 8 * slopes.gain[:1].size)
@@ -151,7 +159,7 @@ def information(
     if straight:  # it shapes samples, and is no posterior
         return known
     bent = known.weight * _bent(cost, first.residual)
-    each = _of_residuals(cost, times)
+    each = of_residuals(cost, times)
     arrays = gz, gx, bent, known.weight * known.residual * np.sqrt(each)
     both = [_sandwich(*(array[clips] for array in arrays)) for clips in some]
     curvature, scatter = map(np.concatenate, zip(*both, strict=True))
@@ -369,7 +377,7 @@ def split(cost: MatchingCost, residual: FloatArray) -> list[FloatArray]:
     return values
 
 
-def _of_residuals(cost: MatchingCost, of_channels: Sequence[float]) -> FloatArray:
+def of_residuals(cost: MatchingCost, of_channels: Sequence[float]) -> FloatArray:
     """A number of each channel for each of its residuals, shape (R,)."""
     sizes = [observed.mask.shape[1] * observed.width for observed in cost.clips.observed]
     return np.repeat(np.array(of_channels, dtype=np.float64), sizes)

@@ -212,7 +212,8 @@ class FirstStates:
 
     Args:
         mean: Mean of e, shape (c, nx); nx = 0 takes the recorded states as exact.
-        shape: Samples are mean + shape w with w of unit variance, shape (c, nx, nx).
+        shape: Samples are mean + shape w with w of unit variance, shape (c, nx, n). Of a direction that no
+            sample takes, of n < nx, nothing is known but its prior.
     """
 
     mean: FloatArray
@@ -226,6 +227,12 @@ class FirstStates:
     def of(self, clips: IntArray) -> FirstStates:
         """Those of some of the clips."""
         return FirstStates(self.mean[clips], self.shape[clips])
+
+    @property
+    def forgotten(self) -> FirstStates:
+        """The prior, sampled along the directions of these samples alone, which are orthogonal."""
+        size = np.linalg.norm(self.shape, axis=1, keepdims=True)
+        return FirstStates(np.zeros_like(self.mean), self.shape / np.maximum(size, 1e-300))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -242,6 +249,7 @@ class Linearisation:
             (h, c, R); numpy's or on the engine's device. None of samples to one side.
         bend: Mean square of the nonlinear response (bend), shape (c, R).
         first: What was known of the first-state errors; the samples followed it.
+        pairs: The w of the z of h pairs, shape (h, d).
         completed: Clips that could be linearised, shape (c,).
         rollouts, diverged: Number of rollouts, and how many of them diverged.
     """
@@ -253,6 +261,7 @@ class Linearisation:
     curves: AnyArray
     bend: FloatArray
     first: FirstStates
+    pairs: FloatArray
     completed: BoolArray
     rollouts: int
     diverged: int
@@ -269,7 +278,6 @@ def linearise(
     averaged: bool = False,
     straight: bool = False,
     sparsity: Sparsity | None = None,
-    jitter: FloatArray | None = None,
 ) -> Linearisation:
     """Linearise the residuals of every clip about z and its first-state error.
 
@@ -284,12 +292,10 @@ def linearise(
         straight: Take short steps to one side instead of pairs, where samples have shown that hardly anything
             bends in them: half of the rollouts, and no bend.
         sparsity: What the unknowns move, where they do not move everything.
-        jitter: What slopes are freed of where `averaged`, shape (c, R): the bend of narrower samples, which
-            is hardly more than jitter; None: the bend of these samples.
     """
     d, nx = z.size, first.mean.shape[1]
     moves = None if sparsity is None else _moved(cost, sparsity, shape, first.shape)
-    columns = np.arange(d + nx) if moves is None else colours(moves)
+    columns = np.arange(d + first.shape.shape[2]) if moves is None else colours(moves)
     unknowns = int(columns.max()) + 1
     directions = orthogonal_directions(unknowns, max(unknowns, samples // 2), rng)[:, columns]
     half = len(directions)
@@ -312,6 +318,7 @@ def linearise(
             curves=curves * namespace_of(curves).asarray(pairs.T[:bent, :, None]),
             bend=bend - lift**2 if averaged else bend,
             first=first,
+            pairs=directions[:, :d],
             completed=residuals.completed[-1] & (pairs.sum(axis=1) >= 0.75 * half),
             rollouts=residuals.completed.size,
             diverged=int((~residuals.completed).sum()),
@@ -325,8 +332,7 @@ def linearise(
     kept_as = np.float64 if moves is None else np.float32
     found = of_clips(cost, first) if len(parts) == 1 else _joined(cost, first, pieces, kept_as)
     # what all clips know of the jitter, whether or not they took turns
-    bend = found.bend if jitter is None else jitter
-    return replace(found, gain=_freed(found, bend, shape, half)) if averaged else found
+    return replace(found, gain=_freed(found, shape)) if averaged else found
 
 
 def _samples(
@@ -377,7 +383,15 @@ def _joined(
             whole[name][clips] = values
         rollouts, diverged = rollouts + part.rollouts, diverged + part.diverged
     curves = whole.pop("curves").swapaxes(0, 1)
-    return Linearisation(cost=cost, first=first, curves=curves, rollouts=rollouts, diverged=diverged, **whole)
+    return Linearisation(
+        cost=cost,
+        first=first,
+        pairs=part.pairs,
+        curves=curves,
+        rollouts=rollouts,
+        diverged=diverged,
+        **whole,
+    )
 
 
 def orthogonal_directions(dimension: int, count: int, rng: np.random.Generator) -> FloatArray:
@@ -444,12 +458,28 @@ def _regress(
     return np.linalg.solve(normal, right)
 
 
-def _freed(found: Linearisation, jitter: FloatArray, shape: FloatArray, pairs: int) -> FloatArray:
-    """Slopes (c, d + nx, R) of so many pairs of samples of a shape S (d, d) without jitter (c, R)."""
+def bent_by_z(found: Linearisation) -> FloatArray:
+    """Mean square of what bends along the samples' axes of z, and neither jitters nor bends along e, (c, R).
+
+    The even response of a non-smooth model to each pair, about its mean, is regressed on the squares of the
+    pair's w. As slopes by w are, these slopes are freed of what chance makes of so few pairs.
+    """
+    squares, own = found.pairs**2, found.completed
+    squares = (squares - squares.mean(axis=0)) / np.maximum(squares.std(axis=0), 1e-300)
+    curves = to_host(found.curves)[:, own]
+    slopes = _regress(curves - curves.mean(axis=0), np.ones(curves.shape[1::-1]), squares)
+    slopes = without_jitter(slopes, found.bend[own], *squares.shape)
+    bent = np.zeros_like(found.bend)
+    bent[own] = (np.einsum("hd,cdr->hcr", squares, slopes) ** 2).mean(axis=0)
+    return bent
+
+
+def _freed(found: Linearisation, shape: FloatArray) -> FloatArray:
+    """Slopes (c, d + nx, R) of pairs of samples of a shape S (d, d), without jitter."""
     freed, own, first = np.zeros_like(found.gain), found.completed, found.first.shape
     gz, gx = np.split(found.gain[own], [len(shape)], axis=1)
     slopes = np.concatenate((shape.T @ gz, first[own].transpose(0, 2, 1) @ gx), axis=1)
-    slopes = without_jitter(slopes, jitter[own], pairs, len(shape))
+    slopes = without_jitter(slopes, found.bend[own], len(found.pairs), len(shape))
     freed[own] = _by_coordinates(slopes, shape, first[own])
     return freed
 
@@ -485,14 +515,13 @@ def _by_coordinates(slopes: FloatArray, shape: FloatArray, first_shape: FloatArr
     A step is dz = S w, and r moves by Gz S w: the slopes by w are Gz S, those by z are they times S^-1.
 
     Args:
-        slopes: Slopes by w, shape (c, d + nx, R).
+        slopes: Slopes by w, shape (c, d + n, R).
         shape: S of the samples of z, shape (d, d); directions that are not sampled have slope zero.
-        first_shape: S of the samples of each clip's first-state error, shape (c, nx, nx).
+        first_shape: S of the samples of each clip's first-state error, shape (c, nx, n); likewise.
     """
-    d, gain = len(shape), np.empty_like(slopes)
-    gain[:, :d] = np.einsum("wd,cwr->cdr", np.linalg.pinv(shape, rcond=1e-9), slopes[:, :d])
-    gain[:, d:] = np.linalg.inv(first_shape).transpose(0, 2, 1) @ slopes[:, d:]
-    return gain
+    by_w, by_v = np.split(slopes, [len(shape)], axis=1)
+    of_z = np.einsum("wd,cwr->cdr", np.linalg.pinv(shape, rcond=1e-9), by_w)
+    return np.concatenate((of_z, np.linalg.pinv(first_shape).transpose(0, 2, 1) @ by_v), axis=1)
 
 
 def _predicted(gain: FloatArray, steps: FloatArray, like: AnyArray) -> AnyArray:

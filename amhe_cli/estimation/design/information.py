@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray, namespace_of
+from amhe_cli.core.arrays import FloatArray, namespace_of
 from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.core.information import (
@@ -17,10 +17,9 @@ from amhe_cli.estimation.core.information import (
     information,
     step_within,
 )
-from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, linearise, sampling_width
+from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, sampling_width
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.problem import Problem
-from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.system.system import System
 
 #: Gauss-Newton steps from the belief to a log's own estimate: at most so many with first states as recorded,
@@ -34,45 +33,33 @@ def clips_of(system: System, log: Log) -> list[Window]:
     return ClipPool(system, [whole(log)], clips).cut(0.5 * sum(clips.length))
 
 
-def active_in(system: System, windows: Sequence[Window], engine: Engine) -> BoolArray:
-    """Parameters that windows depend on at all, shape (d,), as `amhe identify` finds them."""
+def problem_of(system: System, windows: Sequence[Window], engine: Engine) -> Problem:
+    """The problem of identifying windows of logs."""
     pool = ClipPool(system, windows, system.settings.clips)
-    return Problem(system, pool, engine, seed=0, only=tuple(windows)).active
+    return Problem(system, pool, engine, seed=0, only=tuple(windows))
 
 
 def information_at(
-    system: System,
-    windows: Sequence[Window],
-    engine: Engine,
-    z: FloatArray,
-    rng: np.random.Generator,
-    *,
-    active: BoolArray | None = None,
-    recorded: bool = False,
+    problem: Problem, z: FloatArray, rng: np.random.Generator, *, recorded: bool = False
 ) -> Information:
     """Information of each of c windows at z (d,); its `matrix` has shape (c, d, d).
 
     Errors of first states are fitted along, as in the last iterations of `amhe identify`: taken as recorded,
     they would pass for noise of the motion. The noise's scale is that of the residuals, with their
-    autocorrelation; the samples are as wide as the jitter of contacts needs.
+    autocorrelation; the samples are as wide as the jitter of contacts needs, and slopes are freed of it.
 
     Args:
-        system: The system.
-        windows: Windows of logs.
-        engine: Rollouts of the system's model.
+        problem: The windows, and rollouts of the system's model.
         z: Where the predictions are linearised, shape (d,).
         rng: Source of the samples.
-        active: Parameters that the windows depend on, see `active_in`; None: all.
         recorded: Take first states as recorded, unless the system's settings always fit them; for a robot
             this needs a fifteenth of the rollouts.
     """
-    setting = system.settings.identify
-    cost = MatchingCost(system, windows, engine, system.settings.cost)
-    fitted = setting.first_state == "always" or (setting.first_state == "polish" and not recorded)
-    first = FirstStates.recorded(len(windows), cost.nx if fitted else 0)
-    width = sampling_width(system.space, setting.step)
-    shape = np.diag(width if active is None else width * active)
-    found = linearise(cost, z, first, shape, 0, rng)
+    setting, cost = problem.settings.identify, problem.cost(problem.clips)
+    as_recorded = recorded and setting.first_state == "polish"
+    first = FirstStates.recorded(len(problem.clips), 0) if as_recorded else problem.recorded(cost)
+    shape = np.diag(sampling_width(problem.system.space, setting.step) * problem.active)
+    found = problem.linearised(cost, z, first, shape, rng)
     return information(rescaled(found, fitted_noise_scale(found, information(found), {})))
 
 
@@ -91,9 +78,7 @@ def rescaled(found: Linearisation, scale: Mapping[str, float]) -> Linearisation:
     )
 
 
-def information_where_it_points(
-    system: System, windows: Sequence[Window], engine: Engine, rng: np.random.Generator
-) -> FloatArray:
+def information_where_it_points(problem: Problem, rng: np.random.Generator) -> FloatArray:
     """Information (d, d) of all windows together, near the windows' own estimate.
 
     Information depends on the parameters, and the belief may be far from the truth. So a few Gauss-Newton
@@ -101,11 +86,11 @@ def information_where_it_points(
     cheaper; the last ones fit them, because errors of first states mislead where the data hardly show a
     parameter. The information is that at the point before the last step.
     """
-    space = system.space
-    z, active = np.zeros(len(space)), active_in(system, windows, engine)
+    space = problem.system.space
+    z = np.zeros(len(space))
     for recorded, most in ((True, FAR), (False, NEAR)):
         for _ in range(most):
-            found = information_at(system, windows, engine, z, rng, active=active, recorded=recorded)
+            found = information_at(problem, z, rng, recorded=recorded)
             matrix, score = found.matrix.sum(axis=0), found.score.sum(axis=0)
             whole, hessian = gauss_newton_step(matrix, score, space.prior_precision, z)
             step = step_within(z, whole, hessian, space)

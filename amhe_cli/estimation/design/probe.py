@@ -26,10 +26,10 @@ from amhe_cli.engine.bounds import Bounds, Broken, home_within
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.design.design import Accuracy, ProbePlan, accuracy, criterion, ensemble, parts_of
 from amhe_cli.estimation.design.information import (
-    active_in,
     clips_of,
     information_at,
     information_where_it_points,
+    problem_of,
 )
 from amhe_cli.estimation.design.playback import Excitation, Playback, write_log
 from amhe_cli.estimation.design.recipes import Recipe, driven_controls, leeway_of, plain, recipes
@@ -146,7 +146,7 @@ def achieved(system: System, path: Path, options: ProbeOptions) -> Accuracy | No
         if not windows:
             raise EstimationError("nothing moves in it")
         engine, rng = open_engine(system, threads=options.threads, kind=options.engine), options.rng(9)
-        found = information_where_it_points(system, windows, engine, rng)
+        found = information_where_it_points(problem_of(system, windows, engine), rng)
     except AmheError as error:  # the log is worth more than a number computed from it
         logger.warning(f"what the log reveals cannot be computed: {error}")
         return None
@@ -261,17 +261,16 @@ class ActuatorProbe:
 
     def _information(self, one: Recipe, draws: FloatArray) -> FloatArray | Broken:
         """Information on z for each draw, shape (e, d, d), or what one of them breaks."""
-        system, found, active = self.system, [], None
+        system, found, whole = self.system, [], None
         logs = self._played(self._model, one, system.space.theta_of(draws), 2)
         for z, log in zip(draws, logs, strict=True):
             if isinstance(log, Broken):
                 return log
             matrix, windows = np.zeros((z.size, z.size)), clips_of(system, log)
             if windows:
-                active = active_in(system, windows, self._engine) if active is None else active
-                rng = self._options.rng(4)
-                own = information_at(system, windows, self._engine, z, rng, active=active)
-                matrix = own.matrix.sum(axis=0)
+                problem = replace(problem_of(system, windows, self._engine), whole=whole)
+                whole = whole or problem  # what moves what is the same
+                matrix = information_at(problem, z, self._options.rng(4)).matrix.sum(axis=0)
             found.append(matrix)
         return np.stack(found)
 

@@ -143,7 +143,7 @@ def _whole(state: SearchState | CmaState, problem: Problem) -> bool:
         and min(value.values(), default=1.0) > 0.0,
         "record": lambda value: all(_is_entry(entry, d) for entry in value),
         "first": lambda value: value is None
-        or (_is_array(value.mean, c, nx) and _is_array(value.shape, c, nx, nx)),
+        or (_is_array(value.mean, c, nx) and _is_array(value.shape, c, nx, min(value.shape.shape[-1], nx))),
         "memory": lambda value: value == {} or _is_memory(value, problem),
     }  # fmt: skip
     sound = all(checks[entry.name](getattr(state, entry.name)) for entry in fields(state))

@@ -179,7 +179,6 @@ class Problem:
         rng: np.random.Generator,
         *,
         straight: bool = False,
-        jitter: FloatArray | None = None,
     ) -> Linearisation:
         """Slopes of a cost about z (d,) and first-state errors, from samples of a shape (d, d).
 
@@ -198,7 +197,6 @@ class Problem:
             averaged=self.non_smooth,
             straight=straight,
             sparsity=self.sparsity,
-            jitter=jitter,
         )
 
     def recorded(self, cost: MatchingCost) -> FirstStates:

@@ -115,21 +115,24 @@ def start(problem: Problem) -> SearchState:
 
 
 def total(problem: Problem, state: SearchState) -> int:
-    """Most iterations that the search may take."""
-    return problem.settings.identify.iterations
+    """Most iterations that the search may take; where contacts jitter, `last_step` takes the last one."""
+    return max(problem.settings.identify.iterations - problem.non_smooth, 1)
 
 
-def restart(problem: Problem, z: FloatArray, shape: FloatArray | None = None) -> SearchState:
+def restart(
+    problem: Problem, z: FloatArray, shape: FloatArray | None = None, first: FirstStates | None = None
+) -> SearchState:
     """State that polishes from z (d,), for a part of a solved problem.
 
     Args:
         problem: The part.
         z: Where to start, shape (d,).
         shape: Shape of the samples of z (d, d) that proved to be straight; None: none did.
+        first: What is known of the clips' first states; None: as recorded.
     """
     if shape is not None:
         return SearchState("polish", 0, z, shape, straight=True)
-    return SearchState("polish", 0, z, diagonal(0.5 * WIDEST, problem.active))
+    return SearchState("polish", 0, z, diagonal(0.5 * WIDEST, problem.active), first=first)
 
 
 def advance(problem: Problem, state: SearchState) -> SearchState:
@@ -164,24 +167,33 @@ def advance(problem: Problem, state: SearchState) -> SearchState:
     # a step is short, too, while the misfit of an iteration before passes for noise
     quieter = any(sd < 0.8 * state.scale.get(key, 1.0) for key, sd in taken.scale.items() if state.scale)
     settled = still and not few and (problem.touches or not quieter)
-    stage = _next_stage(state, number, settled, setting)
-    # each step is an estimate from its own samples, whose scatter averages out over the later ones
-    z = trail[len(trail) // 3 :].mean(axis=0) if stage == "done" and len(trail) else taken.z
     return replace(
         state,
-        stage=stage,
+        stage=_next_stage(state, number, settled, setting, total(problem, state)),
         number=number,
-        z=z,
+        z=taken.z,
         trail=trail,
         settled=settled,
         shape=shape,
         scale=taken.scale,
         record=(*state.record, _entry(problem, state, taken, slopes)),
         # these clips are the same next time; random ones, and few, are not
-        first=None if exploring or few else problem.first_states(told, z - state.z),
+        first=None if exploring or few else problem.first_states(told, taken.z - state.z),
         straight=not (problem.touches or taken.far)
         and float(slopes.bend.mean()) < STRAIGHT * float((told.residual**2).mean()),
     )
+
+
+def last_step(problem: Problem, state: SearchState, slopes: Linearisation, told: Information) -> SearchState:
+    """The search of a non-smooth cost after a last step, from the linearisation that its result rests on.
+
+    Each step is an estimate from its own samples, whose scatter averages out over the later ones.
+    """
+    before = replace(state, stage="polish")
+    taken = gauss_newton(problem, before, slopes, told)
+    trail = np.append(state.trail.reshape(-1, taken.z.size), taken.z[None], axis=0)
+    z, record = trail[len(trail) // 3 :].mean(axis=0), (*state.record, _entry(problem, before, taken, slopes))
+    return replace(state, number=state.number + 1, z=z, trail=trail, record=record)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -308,11 +320,13 @@ def _reshaped(
     return adapted(covariance, before, floor, problem.active, problem.alike)
 
 
-def _next_stage(state: SearchState, number: int, settled: bool, setting: IdentifySettings) -> Stage:
-    if state.stage == "explore":
+def _next_stage(
+    state: SearchState, number: int, settled: bool, setting: IdentifySettings, most: int
+) -> Stage:
+    if state.stage == "explore" and number < most:
         late = number >= setting.iterations - setting.polish
         return "polish" if (settled and number >= 3) or late else "explore"
-    return "done" if settled or number >= setting.iterations else "polish"
+    return "done" if settled or number >= most else "polish"
 
 
 def _entry(problem: Problem, state: SearchState, taken: LineStep, slopes: Linearisation) -> Iteration:

@@ -10,8 +10,8 @@ wrong. One that no log can determine costs what its data sheet leaves open. The 
 says what each number adds.
 
 Where contacts jitter, other contacts, another solver or a finer step are another draw of the jitter, of which
-no regression says anything. There the whole move of the estimate counts, as far as the log allows it: to
-where the misfit would have risen by SURPRISE squared.
+no regression says anything. There the move of the estimate counts beyond what a draw of jitter moves it, as
+far as the log allows it: to where the misfit would have risen by SURPRISE squared.
 """
 
 from __future__ import annotations
@@ -27,7 +27,13 @@ from amhe_cli.core.arrays import FloatArray, IntArray, sealed
 from amhe_cli.core.statistics import root
 from amhe_cli.engine.open import contact_variants, finer_solver, finer_step
 from amhe_cli.estimation.core.agreement import SURPRISE
-from amhe_cli.estimation.core.information import Information, gauss_newton_step, information, objective
+from amhe_cli.estimation.core.information import (
+    Information,
+    gauss_newton_step,
+    information,
+    objective,
+    of_residuals,
+)
 from amhe_cli.estimation.uncertainty.fit import FinalFit, posterior
 from amhe_cli.estimation.uncertainty.ledger import Source, Term
 from amhe_cli.matching.cost import MatchingCost, Residuals
@@ -52,6 +58,10 @@ BLIND = 10.0
 FAR = 1.0
 #: Share of the misfit that one number explains from which another explains it as well.
 AS_WELL = 0.5
+#: Share of the largest variance below which a direction is rounding.
+RANK = 1e-6
+#: Pairs of samples over which a change is averaged where contacts jitter.
+PAIRS = 4
 #: States of the rollouts that are examined for what acts in them, about.
 EXAMINED = 1000
 
@@ -111,7 +121,7 @@ class _Change:
 
 def _changed(fit: FinalFit, cost: MatchingCost) -> tuple[_Change, float]:
     """Effect of another engine on an estimate, and the share by which the misfit rises."""
-    slopes, none = fit.slopes, np.zeros_like(fit.z)
+    slopes = fit.slopes
 
     def after(cost: MatchingCost, step: FloatArray, first: FloatArray) -> tuple[Residuals, float]:
         """Residuals after a step (d,) of the estimate, first states (c, nx) moved along; and the misfit."""
@@ -119,20 +129,50 @@ def _changed(fit: FinalFit, cost: MatchingCost) -> tuple[_Change, float]:
         residuals = cost.residuals(z, first[None] if first.shape[1] else None)
         return residuals, float(objective(cost, residuals, first[None], fit.times, fit.weight)[0])
 
-    there, _ = after(cost, none, slopes.first.mean)
-    both = slopes.completed & there.completed[0]
-    residual = slopes.residual + there.flat[0] - slopes.centre
-    told = information(replace(slopes, residual=residual, completed=both))
+    there = cost.residuals(*_samples(fit))
+    both = slopes.completed & there.completed.all(axis=0)
+    told = information(replace(slopes, residual=there.flat.mean(axis=0), completed=both))
     pairs = (fit.information, fit.weight), (told, fit.weight * both)
     steps = [posterior(fit.z, *pair, fit.space.loose_precision).step for pair in pairs]
     firsts = [one.first(step[None])[0] for (one, _), step in zip(pairs, steps, strict=True)]
     (here, least), (there, most) = map(after, (slopes.cost, cost), steps, firsts)
     z = steps[1] - steps[0]
+    if fit.problem.non_smooth:
+        z = _beyond_jitter(fit, z)
     gz, gx = np.split(slopes.gain, [len(z)], axis=1)
     along = np.einsum("d,cdr->cr", z, gz) + np.einsum("cx,cxr->cr", firsts[1] - firsts[0], gx)
     done = here.completed[0] & there.completed[0]
     slope = np.where(done[:, None], there.flat[0] - here.flat[0] - along, 0.0)
     return _Change(Source(""), z, slope, most - least), (most - least) / max(least, 1e-300)
+
+
+def _samples(fit: FinalFit) -> tuple[FloatArray, FloatArray | None]:
+    """Places z (p, d) and first states (p, c, nx) at which a change is seen; where contacts jitter, some."""
+    z, first = fit.z, fit.slopes.first
+    w = np.zeros((1, z.size + first.shape.shape[2]))
+    if fit.problem.non_smooth:
+        w = fit.problem.rng(10).choice([-1.0, 1.0], (PAIRS, w.size))
+        w = np.concatenate((w, -w))
+    errors = first.mean + np.einsum("cij,pj->pci", first.shape, w[:, z.size :])
+    return fit.space.clip(z + w[:, : z.size] @ fit.shape.T), errors if first.mean.shape[1] else None
+
+
+def _beyond_jitter(fit: FinalFit, z: FloatArray) -> FloatArray:
+    """What of the move (d,) of an estimate between means of some rollouts is no draw of their jitter.
+
+    Jitter counts in the noise already. The mean of a pair errs by the variance of the bend; of the move's
+    square, in units of the covariance that this gives it, chance makes the rank (James and Stein 1961).
+    """
+    jitter = fit.slopes.bend * of_residuals(fit.slopes.cost, fit.times)
+    jitter = jitter * (1.0 / PAIRS + 1.0 / len(fit.slopes.pairs))
+    pull = np.sqrt(jitter) * fit.information.weight
+    gz, gx = np.split(fit.slopes.gain, [len(z)], axis=1)
+    slope = gz + fit.information.nuisance_gain.transpose(0, 2, 1) @ gx
+    moved = np.sqrt(fit.weight)[:, None, None] * slope * pull[:, None]
+    covariance = fit.posterior.inverse @ np.einsum("cir,cjr->ij", moved, moved) @ fit.posterior.inverse
+    distance = float(z @ np.linalg.pinv(covariance, rcond=RANK, hermitian=True) @ z)
+    chance = np.linalg.matrix_rank(covariance, tol=RANK * np.linalg.norm(covariance, 2), hermitian=True)
+    return z * np.sqrt(max(1.0 - chance / max(distance, 1e-300), 0.0))
 
 
 def _changes(fit: FinalFit) -> Iterator[_Change]:

@@ -23,6 +23,7 @@ from amhe_cli.estimation.core.information import (
 from amhe_cli.estimation.core.linearise import (
     FirstStates,
     Linearisation,
+    bent_by_z,
     bounded,
     changed,
     diagonal,
@@ -31,7 +32,7 @@ from amhe_cli.estimation.core.linearise import (
 )
 from amhe_cli.estimation.offline.cma import CmaState
 from amhe_cli.estimation.offline.problem import Problem, spread_floor
-from amhe_cli.estimation.offline.search import SearchState
+from amhe_cli.estimation.offline.search import SearchState, last_step
 from amhe_cli.estimation.offline.watch import Watch
 from amhe_cli.matching.cost import MatchingCost, Residuals
 
@@ -46,6 +47,8 @@ TURNS = 4
 LITTLE = 0.1
 #: Sampling sd of the first of them after CMA-ES, in prior sd.
 SMALL = 0.05
+#: Factor on the samples by which curvature is judged.
+DOUBLED = 2.0
 
 
 #: Shares of the step to the best first states that are tried on each clip.
@@ -193,7 +196,7 @@ def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) ->
     Samples have the shape of the posterior, which depends on the linearisation: this is repeated until the
     shape no longer changes, or a watch has no time for more.
     """
-    space, floor = problem.system.space, spread_floor(problem)
+    floor = spread_floor(problem)
     searched = isinstance(finding, SearchState)
     shape = finding.shape if searched else diagonal(SMALL, problem.active)
     scale, first = finding.scale, finding.first if searched else None
@@ -201,12 +204,8 @@ def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) ->
     shaped = searched and first is not None and (problem.non_smooth or finding.settled)
     for turn in range(TURNS):
         slopes = _linearised(problem, finding.z, scale, shape, first, turn)
-        told = information(slopes)
-        weight = clip_weights(slopes, told) * problem.coverage(problem.clips)
-        there = posterior(finding.z, told, weight, space.prior_precision)
-        left = step_within(finding.z, there.step, there.hessian, space)
-        fit = FinalFit(problem, finding, slopes, told, weight, there, shape, scale, left)
-        covariance = within(there.covariance, problem.alike)
+        fit = _fit_of(problem, finding, slopes, shape, scale)
+        covariance = within(fit.posterior.covariance, problem.alike)
         wanted = bounded(4.0 * covariance, floor, problem.active, problem.alike)
         # slopes from samples that hardly bend are those of wider ones, too
         straight = not problem.touches and float(slopes.bend.mean()) < HARDLY
@@ -216,21 +215,45 @@ def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) ->
             watch.measured(slopes.rollouts)
             if not watch.affords(2 * slopes.rollouts):
                 break
-        shape, scale, shaped = wanted, fitted_noise_scale(slopes, told, scale), True
-        first = problem.first_states(told, np.zeros_like(finding.z))
-    return fit
+        shape, scale, shaped = wanted, fitted_noise_scale(slopes, fit.information, scale), True
+        first = problem.first_states(fit.information, np.zeros_like(finding.z))
+    return _after_last_step(fit, finding) if searched and finding.done and problem.non_smooth else fit
+
+
+def _fit_of(
+    problem: Problem,
+    finding: Finding,
+    slopes: Linearisation,
+    shape: FloatArray,
+    scale: Mapping[str, float],
+) -> FinalFit:
+    """What a linearisation of all clips says about an estimate."""
+    space, told = problem.system.space, information(slopes)
+    weight = clip_weights(slopes, told) * problem.coverage(problem.clips)
+    there = posterior(finding.z, told, weight, space.prior_precision)
+    left = step_within(finding.z, there.step, there.hessian, space)
+    return FinalFit(problem, finding, slopes, told, weight, there, shape, scale, left)
+
+
+def _after_last_step(fit: FinalFit, before: SearchState) -> FinalFit:
+    """The linearisation of a non-smooth cost, seen from the end of the step that it leads to."""
+    slopes = fit.slopes
+    started = replace(before, shape=fit.shape, scale=fit.scale)
+    finding = last_step(fit.problem, started, slopes, fit.information)
+    away = finding.z - before.z
+    along = np.einsum("d,cdr->cr", away, slopes.gain[:, : away.size])
+    moved = replace(slopes, residual=slopes.residual + along)
+    return _fit_of(fit.problem, finding, moved, fit.shape, fit.scale)
 
 
 def doubled_step(fit: FinalFit) -> Posterior:
-    """Posterior from samples twice as wide: the same where the model is linear.
+    """Posterior as from samples twice as wide: the same where the model is linear.
 
-    Where contacts jitter, what departs from the slopes is jitter, which counts as noise already: wider
-    samples have a say by their slopes alone.
+    Twice the step bends four times as far, and the square of that counts sixteen times. Jitter does not grow.
     """
-    shape, first, bend = 2.0 * fit.shape, fit.slopes.first, fit.slopes.bend
-    wide = _linearised(fit.problem, fit.z, fit.scale, shape, first, TURNS, bend)
-    if fit.problem.non_smooth:
-        wide = replace(fit.slopes, gain=wide.gain, completed=fit.slopes.completed & wide.completed)
+    bent = bent_by_z(fit.slopes) if fit.problem.non_smooth else fit.slopes.bend
+    grown = (DOUBLED**4 - 1.0) * bent
+    wide = replace(fit.slopes, bend=fit.slopes.bend + grown)
     return posterior(fit.z, information(wide), fit.weight, fit.posterior.prior)
 
 
@@ -254,10 +277,9 @@ def _linearised(
     shape: FloatArray,
     first: FirstStates | None,
     place: int,
-    jitter: FloatArray | None = None,
 ) -> Linearisation:
     cost, rng = problem.cost(problem.clips, scale), problem.rng(3, place)
-    return problem.linearised(cost, z, first or problem.recorded(cost), shape, rng, jitter=jitter)
+    return problem.linearised(cost, z, first or problem.recorded(cost), shape, rng)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -289,7 +311,9 @@ class Scored:
         return clip_objectives(self.cost, self.residuals, self.first[None], times)[0]
 
 
-def scored(problem: Problem, cost: MatchingCost, z: FloatArray, shape: FloatArray) -> Scored:
+def scored(
+    problem: Problem, cost: MatchingCost, z: FloatArray, shape: FloatArray, like: Scored | None = None
+) -> Scored:
     """Fit the first states of clips under z (d,): the step that a linearisation gives, as far as it helps.
 
     Args:
@@ -297,10 +321,12 @@ def scored(problem: Problem, cost: MatchingCost, z: FloatArray, shape: FloatArra
         cost: Cost on the clips.
         z: The values.
         shape: Shape of the samples of z, (d, d).
+        like: The same clips under other values, whose first states show which of their errors matter.
     """
-    slopes = problem.linearised(
-        cost, z, problem.recorded(cost), shape, problem.rng(5), straight=not problem.touches
-    )
+    first = problem.recorded(cost)
+    if like is not None and problem.non_smooth:
+        first = problem.first_states(like.information, np.zeros_like(z)).forgotten
+    slopes = problem.linearised(cost, z, first, shape, problem.rng(5), straight=not problem.touches)
     told = information(slopes)
     tried = LINE[:, None, None] * told.nuisance
     residuals = cost.residuals(np.repeat(z[None], len(LINE), axis=0), tried if tried.size else None)

@@ -166,9 +166,9 @@ def _halves(joint: FinalFit, refitted: bool) -> Parts:
     straight = finding.shape if isinstance(finding, SearchState) and finding.straight else None
     halves = {}
     for name, rows in zip(HALVES, (np.flatnonzero(~late), np.flatnonzero(late)), strict=True):
-        part = problem.part(rows)
-        state = search.restart(part, finding.z, straight)
-        for _ in range(REFITS):
+        part, recorded = problem.part(rows), joint.slopes.first.of(rows).forgotten
+        state = search.restart(part, finding.z, straight, recorded if part.non_smooth else None)
+        for _ in range(REFITS - part.non_smooth):  # whose fit is a step of the search, too
             state = search.advance(part, state)
         fit = final_fit(part, state)
         away = state.z - finding.z

@@ -122,9 +122,10 @@ def judge(fit: FinalFit, windows: Sequence[Window], held_out: HeldOut) -> tuple[
         What was known of them with the costs and errors from fitted first states, and what speaks against
         every value, in words.
     """
-    problem, places = fit.problem, (fit.z, np.zeros_like(fit.z))
+    problem = fit.problem
     cost = problem.cost(windows, fit.scale)
-    now, before = (scored(problem, cost, z, fit.shape) for z in places)
+    now = scored(problem, cost, fit.z, fit.shape)
+    before = scored(problem, cost, np.zeros_like(fit.z), fit.shape, now)
     costs = [float(cost.as_declared(each.residuals)[0]) for each in (now, before)]
     against = []
     # residuals of wrong values repeat more: with a time of its own, each would count by another measure

@@ -15,7 +15,7 @@ from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.core.information import information
 from amhe_cli.estimation.core.linearise import FirstStates, linearise
 from amhe_cli.estimation.design.design import accuracy, criterion, ensemble
-from amhe_cli.estimation.design.information import clips_of, information_at, rescaled
+from amhe_cli.estimation.design.information import clips_of, information_at, problem_of, rescaled
 from amhe_cli.logs import read_log
 from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.robots.go1.probing.motions import MOTIONS, Motion, probe_task
@@ -78,9 +78,9 @@ def case(pendulum_log: Path) -> Case:
 
 
 def test_errors_of_first_states_are_no_noise_of_the_motion(case: Case) -> None:
-    rng = np.random.default_rng
-    fitted = information_at(*case, rng=rng(0)).matrix.sum(axis=0)
-    recorded = information_at(*case, rng=rng(0), recorded=True).matrix.sum(axis=0)
+    rng, problem, truth = np.random.default_rng, problem_of(*case[:3]), case[3]
+    fitted = information_at(problem, truth, rng(0)).matrix.sum(axis=0)
+    recorded = information_at(problem, truth, rng(0), recorded=True).matrix.sum(axis=0)
     assert np.linalg.slogdet(fitted)[1] > np.linalg.slogdet(recorded)[1]
 
 

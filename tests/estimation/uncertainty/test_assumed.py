@@ -412,12 +412,28 @@ def test_numerical_choices_are_rows_of_one_sd_each(monkeypatch: pytest.MonkeyPat
 
 def test_a_sharp_log_that_rules_other_contacts_out_allows_less_of_them() -> None:
     """Of a blunt log, jitter decides which of the contacts explains it no worse."""
-    moves = []
+    shares = []
     for noise in (1e-4, 2e-2):
-        term, _ = assumed(sliding(noise))
-        rows = [k for k, source in enumerate(term.sources) if "contacts" in source.name]
-        moves.append(np.abs(term.errors[:, rows]).max())
-    assert moves[0] < 0.3 * moves[1]
+        rows = [change for change in module._changes(sliding(noise)) if "contacts" in change.source.name]
+        shares.append(min(allowed(change.rise) for change in rows))
+        assert all(np.allclose(change.error, allowed(change.rise) * change.z) for change in rows)
+    assert shares[0] < 0.3 * shares[1]
+
+
+def test_a_move_that_a_draw_of_jitter_makes_does_not_count_again() -> None:
+    rng, fit = np.random.default_rng(0), sliding(1e-2)
+    bend = rng.uniform(0.5, 1.0, fit.slopes.bend.shape)
+    found, jagged = fit.information, replace(fit, slopes=replace(fit.slopes, bend=bend))
+    gz, gx = np.split(fit.slopes.gain, [len(fit.z)], axis=1)
+    slope = gz + found.nuisance_gain.transpose(0, 2, 1) @ gx
+    size = np.sqrt(bend * (1.0 / module.PAIRS + 1.0 / len(fit.slopes.pairs)))
+    jitter = size * rng.standard_normal((200, *bend.shape))
+    moves = np.einsum("cdr,ncr->nd", fit.weight[:, None, None] * slope, found.weight * jitter)
+    moves = -moves @ fit.posterior.inverse
+    kept = np.array([module._beyond_jitter(jagged, move) for move in moves])
+    assert np.mean(kept**2) < 0.6 * np.mean(moves**2)
+    large = 30.0 * moves[np.abs(moves[:, 0]).argmax()]
+    np.testing.assert_allclose(module._beyond_jitter(jagged, large), large, rtol=0.01)
 
 
 @pytest.mark.medium

@@ -16,7 +16,7 @@ from amhe_cli.core.errors import AmheError, ConfigError, Ending, SimulationError
 from amhe_cli.core.yaml_file import merged
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.design.design import ProbePlan, accuracy, criterion, ensemble, parts_of
-from amhe_cli.estimation.design.information import clips_of, information_at
+from amhe_cli.estimation.design.information import clips_of, information_at, problem_of
 from amhe_cli.estimation.design.probe import ActuatorProbe, Probe, ProbeOptions, Say, believing
 from amhe_cli.live.recorder import drive
 from amhe_cli.logs import read_log
@@ -186,8 +186,8 @@ class PushProbe:
         theta = np.array([run.first_truth.get(p.name, p.nominal) for p in system.space.parameters])
         truth = system.space.z_of(theta)
         engine = open_engine(system, threads=options.threads, kind=options.engine)
-        rng = options.rng(2, number)
-        information = information_at(system, windows, engine, truth, rng).matrix.sum(axis=0)
+        problem = problem_of(system, windows, engine)
+        information = information_at(problem, truth, options.rng(2, number)).matrix.sum(axis=0)
         return information / sum(window.duration for window in windows)
 
     def _probe(self, motion: Motion, seconds: float, box: Believed) -> ProbeTask:
