@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -163,6 +163,7 @@ class Result:
             view = view_of(
                 self.system, self.logs, held_out=self.held_out, belief=self.belief, fitted=True,
                 title=f"{self.system.name}: {name}", verdicts=verdicts,
+                bodies=[asdict(one) for one in self.found.bodies],
             )  # fmt: skip
         except LogError as error:
             logger.debug("no view: %s", error)

@@ -127,6 +127,8 @@ def _doubts(system: System, logs: Sequence[Log], moved: Sequence[JointMotion]) -
     for one in moved:
         if one.high - one.low <= _STILL * one.noise:
             yield "still", one.joint, "it stands still in these logs", 1.0
+        if one.share is not None and one.share > 1.0:
+            yield "range", one.joint, f"it moves through {one.share:.2g} times its range", one.share
     for log in logs:
         for key in system.keys:
             if (lost := float(1.0 - log[key].valid.mean())) > _OFTEN:

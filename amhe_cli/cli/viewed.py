@@ -55,6 +55,18 @@ class _Found(BaseModel):
     start: float | None = None
 
 
+class _Body(BaseModel):
+    """What is read of a number of a body."""
+
+    name: str
+    unit: str
+    prior: float | None
+    estimate: float | None
+    lower: float | None
+    upper: float | None
+    verdict: str
+
+
 class _Record(BaseModel):
     """What is read of a result.json."""
 
@@ -63,6 +75,7 @@ class _Record(BaseModel):
     inputs: _Made | None = None
     fixed: dict[str, float] = {}
     parameters: list[_Found] = []
+    bodies: list[_Body] = []
     noise_scale: dict[str, float | None] = {}
     task: str | None = None
 
@@ -137,7 +150,8 @@ class Viewed:
         """
         if self.record.command not in _RECORDED:
             verdicts = {p.name: p.verdict for p in self.record.parameters if p.verdict}
-            return {"fitted": self.belief is not None, "belief": known, "verdicts": verdicts}
+            told = {"verdicts": verdicts, "bodies": [one.model_dump() for one in self.record.bodies]}
+            return {"fitted": self.belief is not None, "belief": known, **told}
         from amhe_cli.cli.watching import floor_of
         from amhe_cli.live.recorder import first_belief, recorded_curves
         from amhe_cli.robots.go1.run import as_measured

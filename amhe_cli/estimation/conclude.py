@@ -128,9 +128,7 @@ def conclude(search: Search, *, quick: bool = False) -> Identification:
         combinations=combinations(space, covariance, evidence.active),
         spreads=lines.spreads,
         held_out=held_out,
-        iterations=tuple(
-            replace(entry, theta=tuple(lines.of(np.array(entry.theta)).tolist())) for entry in finding.record
-        ),
+        iterations=finding.record,
         rollouts=sum(i.rollouts for i in finding.record),
         diverged=sum(i.diverged for i in finding.record),
         clips=ClipCount(

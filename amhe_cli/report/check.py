@@ -175,9 +175,10 @@ def _motion_table(moved: Sequence[JointMotion]) -> Table:
     for one in moved:
         factor, unit = shown_unit(one.unit)
         low, high, speed = (f"{factor * value:.3g}" for value in (one.low, one.high, one.speed))
+        ends = f"{low} to {high}{' ' * unit.isalpha()}{unit}"
         share = "" if one.share is None else numbers.percent(one.share)
         band = "" if one.band is None else f"{one.band:.2g} Hz"
-        rows.append((one.joint, f"{low} to {high} {unit}", share, f"{speed} {unit}/s", band))
+        rows.append((one.joint, ends, share, f"{speed} {unit}/s", band))
     return Table(("joint", "moves", "of its range", "speed", "up to"), ("", *[NUMBER] * 4), rows)
 
 

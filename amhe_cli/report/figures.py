@@ -1,4 +1,4 @@
-"""Figures of what was identified: measured against predicted, costs, ellipses, convergence."""
+"""Figures of what was identified: measured against predicted, costs, ellipses."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 from markupsafe import Markup
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.estimation.core.result import Fit, Identification, Iteration, MissingRow, ParameterResult
+from amhe_cli.estimation.core.result import Fit, Identification, MissingRow, ParameterResult
 from amhe_cli.report import numbers
-from amhe_cli.web.plots import Curve, Mark, Panel, color_of, evenly, figure, shown_unit
+from amhe_cli.web.plots import Curve, Mark, Panel, evenly, figure, shown_unit
 
 #: Of more parameters than this, those that rest on the prior get no cost, and correlations no number.
 MANY = 24
@@ -94,33 +94,6 @@ def _liveliest(fit: Fit, count: int) -> list[int]:
     """The `count` columns with the widest motion, in their own order."""
     moved = fit.measured.std(axis=0)
     return sorted(np.argsort(-np.nan_to_num(moved), kind="stable")[:count].tolist())
-
-
-def convergence_figure(
-    iterations: Sequence[Iteration], parameters: Sequence[ParameterResult], log: Sequence[bool]
-) -> Markup:
-    """Cost, sampling width, and distances of the parameters from their final values over the iterations.
-
-    Args:
-        iterations: The iterations.
-        parameters: The parameters, as in their theta.
-        log: Whether the scale of each is logarithmic.
-    """
-    number = np.arange(1.0, len(iterations) + 1.0)
-    theta = np.array([i.theta for i in iterations])
-    cost, sigma = (np.array([getattr(one, name) for one in iterations]) for name in ("cost", "sigma"))
-    values = [
-        Curve(number, away(theta[:, i], one.estimate, one, own), one.name, **color_of(i))
-        for i, (one, own) in enumerate(zip(parameters, log, strict=True))
-    ]
-    step = "iteration"
-    return figure(
-        [
-            Panel("cost", [Curve(number, cost)], x=step, log=True),
-            Panel("sampling sd, in prior sd", [Curve(number, sigma, color="measured")], x=step, log=True),
-            Panel("away from the final value, in prior sd", values, x=step),
-        ]
-    )
 
 
 def away(values: FloatArray, origin: float, parameter: ParameterResult, log: bool) -> FloatArray:

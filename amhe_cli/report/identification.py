@@ -26,6 +26,7 @@ from amhe_cli.estimation.core.result import (
     known_together,
 )
 from amhe_cli.report import numbers
+from amhe_cli.report.figures import MANY
 from amhe_cli.report.folder import results
 from amhe_cli.report.held_out import error_rows
 from amhe_cli.report.identification_page import (
@@ -214,14 +215,22 @@ def print_identification(
 
 
 def _print_parameters(result: Identification, console: Console) -> None:
-    """Print the table; a narrow terminal gets fewer columns, never cut names or numbers, and is told so."""
+    """Print the table; a narrow terminal gets fewer columns, never cut names or numbers, and is told so.
+
+    Of many parameters, those that the logs hardly narrow down have one line.
+    """
+    rows = result.lines
+    apart = [p.name for p in rows if p.verdict == "prior"] if len(rows) > MANY else []
+    rows = [p for p in rows if p.name not in apart]
     for given, left_out in _NARROWER:
-        table = rich_table(parameter_table(result, given=given).without(*left_out), STYLES)
+        table = rich_table(parameter_table(rows, given=given).without(*left_out), STYLES)
         width = console.measure(table, options=console.options.update(width=1000)).maximum
         if width <= console.width:
             break
     console.width = max(width, console.width)
     console.print(table)
+    if apart:
+        console.print(f"{len(apart)} more that the logs hardly narrow down: {numbers.some(apart)}")
     if left_out:
         console.print(f"left out here, as the terminal is narrow: {numbers.joined(left_out)}", style="dim")
 
@@ -235,11 +244,11 @@ def _first_reasons(result: Identification) -> dict[str, list[str]]:
     return found
 
 
-def parameter_table(result: Identification, *, given: bool = True) -> Table:
+def parameter_table(parameters: Sequence[ParameterResult], *, given: bool = True) -> Table:
     """Estimate, interval, prior and verdict of each parameter.
 
     Args:
-        result: The identification.
+        parameters: The parameters, or what stands for them.
         given: Say in the line what a conditional value rests on.
     """
     return Table(
@@ -255,7 +264,7 @@ def parameter_table(result: Identification, *, given: bool = True) -> Table:
                 numbers.shrinkage(p.shrinkage),
                 f"{p.verdict}: given {p.given}" if p.given and given else p.verdict,
             )
-            for p in result.lines
+            for p in parameters
         ],
     )
 

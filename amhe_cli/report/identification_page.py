@@ -181,7 +181,7 @@ def _verdicts(parameters: Sequence[ParameterResult]) -> Iterator[Statement]:
     given: dict[str, list[str]] = {}
     for p in parameters:
         if p.verdict == "conditional":
-            given.setdefault(f"{p.given},", []).append(p.name)
+            given.setdefault(f"{p.given}{',' * (', ' in p.given)}", []).append(p.name)
     if len(given) > _GIVEN:
         given = {"what the table names with each": [name for names in given.values() for name in names]}
     for what, names in given.items():
@@ -242,14 +242,6 @@ def _sections(result: Identification, record: Mapping[str, Any], seen: Beside) -
             "Residuals against declared noise",
             text=f"The mark stands at 1: there residuals are as large as the noise in system.yaml: {THUMB}.",
             table=_residual_table(result.noise_scale),
-            folded=True,
-        )
-    if result.iterations:
-        yield Section(
-            "Convergence",
-            text=f"{len(result.iterations)} iterations of the method {result.method}. To the right: how far "
-            "each parameter was from its final value, in sd of its prior.",
-            figure=figures.convergence_figure(result.iterations, result.parameters, result.belief.log),
             folded=True,
         )
     yield _data_section(result)

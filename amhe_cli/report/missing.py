@@ -130,7 +130,8 @@ def missing_section(found: Missing) -> Section:
     return Section(
         "What is missing",
         text="What explains the motion that the model does not, on parts of the logs that were not fitted. "
-        "Each cause is fitted beside the parameters and the other causes.",
+        "Each cause is fitted beside the parameters and the other causes. Drawn is the force or torque "
+        "that is left [N, N m], against what the cause depends on.",
         table=missing_table(found) if found.rows else None,
         figure=missing_figure(found.rows),
         note=f"{rest(found).capitalize()}.",

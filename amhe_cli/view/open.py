@@ -121,6 +121,7 @@ def view_of(
     title: str = "",
     warnings: Sequence[str] = (),
     verdicts: Mapping[str, str] | None = None,
+    bodies: Sequence[Mapping[str, Any]] = (),
     curves: Sequence[TimeCurve] = (),
     events: FloatArray | Sequence[float] = (),
     more: Sequence[Geom] = (),
@@ -140,6 +141,7 @@ def view_of(
         title: Title of the page; empty: the system's name.
         warnings: Further sentences that a reader needs to know.
         verdicts: Verdict of each parameter by name.
+        bodies: What is known of bodies, as in result.json, in place of the coordinates of their inertias.
         curves: Further numbers over the time of the first log.
         events: Times of the first log that one may want to jump to [s], shape (e,).
         more: Geoms that do not move, drawn beside the model's own.
@@ -170,7 +172,7 @@ def view_of(
         title or system.name,
         (f"{seconds:.1f} s of log", f"{len(found.takes)} clips"),
         [*warnings, *_notes(found)],
-        parameter_rows(system.space, begun, known, verdicts or {}),
+        parameter_rows(system.space, begun, known, verdicts or {}, bodies),
     )
     return LogView(found, heading)
 

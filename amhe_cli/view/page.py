@@ -172,16 +172,25 @@ def parameter_rows(
     first: Mapping[str, float],
     known: Mapping[str, tuple[float, float, float]],
     verdicts: Mapping[str, str],
+    bodies: Sequence[Mapping[str, Any]] = (),
 ) -> list[dict[str, Any]]:
-    """Name, unit, first value and the ends of a slider of each parameter; estimate, interval and verdict."""
+    """Name, unit, first value and the ends of a slider of each parameter; estimate, interval and verdict.
+
+    `bodies`: numbers of bodies, as in result.json, in place of the coordinates of their inertias.
+    """
     rows, far = [], np.full(len(space), 2.5)
+    whole = {one["name"].rpartition(".")[0] for one in bodies}
     for p, *ends in zip(space.parameters, space.theta_of(-far), space.theta_of(far), strict=True):
         low, high = (float(np.clip(end, p.lower, p.upper)) for end in ends)
         row: dict[str, Any] = {"name": p.name, "unit": _unit(p.unit), "first": first[p.name], "log": p.log}
         row |= {"low": low, "high": high, "verdict": verdicts.get(p.name, "")}
         row |= dict(zip(("estimate", "lower", "upper"), known.get(p.name, ()), strict=False))
-        rows.append(row)
-    return rows
+        rows.append(row | ({"hidden": True} if p.name.rpartition(".")[0] in whole else {}))
+    numbers = ("name", "estimate", "lower", "upper", "verdict")
+    return rows + [
+        {"unit": _unit(one["unit"]), "first": one["prior"]} | {name: one[name] for name in numbers}
+        for one in bodies
+    ]
 
 
 def _about(scene: Scene, columns: Sequence[Plotted], candidates: Sequence[str]) -> dict[str, Any]:

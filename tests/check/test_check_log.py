@@ -12,7 +12,7 @@ import pytest
 import amhe_cli as amhe
 from amhe_cli.check.findings import Finding, worst_first
 from amhe_cli.check.model import check_model
-from amhe_cli.check.motion import log_findings, motions
+from amhe_cli.check.motion import JointMotion, log_findings, motions
 from amhe_cli.cli.main import run
 from amhe_cli.estimation.design.expected import expected
 
@@ -120,6 +120,15 @@ def test_what_is_wrong_with_a_recording_stands_in_the_list(
     assert found["saturated"]["where"] == "servo" and "100%" in found["saturated"]["what"]
     assert found["contact"]["where"] == "rod, world"
     assert all(one["cure"] for one in found.values())
+
+
+def test_a_joint_that_moves_through_more_than_its_range_is_a_doubt() -> None:
+    moved = JointMotion(
+        "elbow", "rad", -1.1, 1.1, 25.2, 1.0, None, 0.001
+    )  # a range in degrees, read as radians
+    (found,) = log_findings(amhe.System.load("pendulum"), [], [moved])
+    assert (found.kind, found.what) == ("range", "it moves through 25 times its range")
+    assert "degrees taken for radians" in found.cure
 
 
 @pytest.mark.medium

@@ -105,10 +105,11 @@ class Player {
     const head = made("tr", {}, ...["parameter", this.data.candidates[0], ...(known ? [this.data.candidates.includes("at that time") ? "at the end" : "after"] : [])].map((text) => made("th", { textContent: text, scope: "col" })));
     this.sliders = new Map();
     const body = rows.flatMap((row) => {
+      if (row.hidden) { this.sliders.set(row.name, () => row.estimate ?? row.first); return []; }  // others stand for it
       const about = made("small", {}, row.unit), chip = row.verdict ? [made("span", { className: `verdict ${row.verdict}`, textContent: row.verdict })] : [];
       const cells = [made("td", {}, row.name, about, ...chip), made("td", { textContent: brief(row.first) })];
       if (known) cells.push(row.estimate === undefined ? made("td") : made("td", { title: "estimate and 90 % interval" }, brief(row.estimate), made("small", { textContent: `${brief(row.lower)} to ${brief(row.upper)}` })));
-      if (!asks) return [made("tr", {}, ...cells)];
+      if (!asks || row.low === undefined) return [made("tr", {}, ...cells)];
       const start = row.estimate ?? row.first, low = Math.min(row.low, start), high = Math.max(row.high, start), log = row.log && low > 0;
       const value = (share) => log ? low * (high / low) ** share : low + share * (high - low);
       const slider = made("input", { type: "range", min: 0, max: 1, step: "any", title: "Drag: the clip is predicted again" }), told = made("output");

@@ -95,7 +95,8 @@ class Panel {
       const most = Math.max(2 * (high - low), 1e-9);
       [low, high] = [Math.max(Math.min(all[0], low), low - most), Math.min(Math.max(all[1], high), high + most)];
     }
-    const margin = time || panel.equal ? 0 : (axis === "x" ? 0.03 : 0.08) * (high - low) || 0.1 * Math.abs(high) || 1;
+    const whole = time && !this.lines.some(few);
+    const margin = whole || panel.equal ? 0 : (axis === "x" ? 0.03 : 0.08) * (high - low) || 0.1 * Math.abs(high) || 1;
     if (axis === "x") return low < high ? [low - margin, high + margin] : [low - 0.5, high + 0.5];
     return log ? [panel.low ?? low / 1.2, panel.high ?? high * 1.2] : [panel.low ?? low - margin, panel.high ?? high + margin];
   }
@@ -138,8 +139,7 @@ class Panel {
       else d += `${broken ? "M" : "L"}${at(i, y)}`;
       broken = false;
     }
-    const few = shape === "dots" && x.length < 12;  // a few stand alone: they must be seen
-    parts.push(drawn("path", { class: few ? "dots few" : shape, style, d: shape === "area" ? `${d}Z` : d }));
+    parts.push(drawn("path", { class: few(line) ? "dots few" : shape, style, d: shape === "area" ? `${d}Z` : d }));
     return parts;
   }
   handle() {
@@ -209,6 +209,8 @@ function nearest(line, distance) {
   for (let i = 0; i < line.x.length; i++) { const d = line.y[i] !== null && Number.isFinite(line.y[i]) ? distance(i) : Infinity; if (d < least) { least = d; best = i; } }
   return best;
 }
+// Dots that stand alone, and must be seen.
+const few = (line) => line.shape === "dots" && line.x.length < 12;
 // Round numbers between two ends, and their texts.
 function ticks(low, high, count, log = false) {
   if (log && high / low > 6) {

@@ -24,6 +24,7 @@ from amhe_cli.estimation.uncertainty.derived import body_numbers
 from amhe_cli.estimation.uncertainty.ledger import Ledger, Source, Term, term_of
 from amhe_cli.report.identification import identification_record, parameter_table
 from amhe_cli.system.system import System
+from amhe_cli.view.page import parameter_rows
 from tests.estimation.conftest import CHEAP
 from tests.estimation.test_identification import fall
 from tests.report.synthetic import identification
@@ -167,8 +168,13 @@ def test_table_record_and_page_have_them() -> None:
     )
     record = identification_record(result, {})
     assert record["bodies"][0].keys() == record["parameters"][0].keys()
-    assert "link.mass" in [row[0] for row in parameter_table(result).rows]
+    assert "link.mass" in [row[0] for row in parameter_table(result.lines).rows]
     assert "link.I_xz" in page(result)
+    space = system().space
+    rows = parameter_rows(space, dict.fromkeys(space.names, 0.0), {}, {}, record["bodies"])
+    shown = [row for row in rows if "hidden" not in row]  # of the view: nobody knows the coordinates
+    assert [row["name"] for row in shown] == [one.name for one in result.bodies]
+    assert all(row["lower"] <= row["estimate"] <= row["upper"] and "low" not in row for row in shown)
 
 
 def problem(system: System, log: Log) -> Problem:
