@@ -29,7 +29,6 @@ from amhe_cli.report.page import (
     Section,
     Statement,
     Tone,
-    cell,
     diverged_statement,
     fixed_statement,
     result_page,
@@ -41,10 +40,8 @@ from amhe_cli.report.tables import NUMBER, STRONG, Table
 MAX_CLIPS = 3
 #: Sentences about what is taken as known.
 _GIVEN = 3
-#: Residuals of more than this many times the declared noise are pointed out.
-LARGE_RESIDUAL = 2.0
-#: Right end of the bars of residuals, in times the declared noise.
-LARGEST_RESIDUAL = 5.0
+#: Residuals of more than so many times the declared noise are worth a look, and mean that the model is wrong.
+LARGE_RESIDUAL, LARGEST_RESIDUAL = 2.0, 5.0
 
 #: Pairs with a correlation beyond this one have an ellipse.
 CORRELATED = 0.6
@@ -193,15 +190,15 @@ def _verdicts(parameters: Sequence[ParameterResult]) -> Iterator[Statement]:
 
 
 def _residuals(result: Identification) -> Iterator[Statement]:
-    large = {channel: scale for channel, scale in result.noise_scale.items() if scale > LARGE_RESIDUAL}
-    if large and not result.unexplained:
-        told = numbers.joined([f"{channel} {scale:.2g}" for channel, scale in large.items()])
-        why = "The model misses something there, or the noise is larger than declared."
-        yield Statement("mixed", f"Residuals over noise: {told}. {why}")
-    if misfit_text(result):
-        worst = max(result.noise_scale.values())
-        tone: Tone = "good" if worst <= LARGE_RESIDUAL else "bad" if worst > LARGEST_RESIDUAL else "mixed"
-        yield Statement(tone, f"{misfit_text(result).capitalize()}: {THUMB}.")
+    """The misfit, and that of each channel, the largest first."""
+    if not misfit_text(result):
+        return
+    sizes = sorted(result.noise_scale.items(), key=lambda one: -one[1])
+    worst, each = sizes[0][1], numbers.some([f"{channel} {size:.2g}" for channel, size in sizes])
+    why = " The model misses something there, or the noise is larger than declared."
+    tone: Tone = "good" if worst <= LARGE_RESIDUAL else "bad" if worst > LARGEST_RESIDUAL else "mixed"
+    told = f"{misfit_text(result).capitalize()}" + f" ({each})" * (len(sizes) > 1)
+    yield Statement(tone, f"{told}: {THUMB}.{why * (worst > LARGE_RESIDUAL and not result.unexplained)}")
 
 
 def _sections(result: Identification, record: Mapping[str, Any], seen: Beside) -> Iterator[Section]:
@@ -235,13 +232,6 @@ def _sections(result: Identification, record: Mapping[str, Any], seen: Beside) -
             "Whole log",
             text="What was measured, and what is predicted from the first state of each clip.",
             figure=seen.whole,
-            folded=True,
-        )
-    if result.noise_scale:
-        yield Section(
-            "Residuals against declared noise",
-            text=f"The mark stands at 1: there residuals are as large as the noise in system.yaml: {THUMB}.",
-            table=_residual_table(result.noise_scale),
             folded=True,
         )
     yield _data_section(result)
@@ -340,21 +330,6 @@ def _run_table(result: Identification) -> Table:
     ]
     head = ("parameter", *(run.log for run in result.runs), "all together", "unit")
     return Table(head, ("name", *(NUMBER for _ in result.runs), STRONG, "unit"), rows)
-
-
-def _residual_table(noise_scale: Mapping[str, float]) -> Table:
-    rows = [
-        (
-            channel,
-            f"{scale:.2f}",
-            cell(
-                "bar", scale / LARGEST_RESIDUAL, mark=1.0 / LARGEST_RESIDUAL,
-                over=scale > LARGE_RESIDUAL, long=True,
-            ),
-        )
-        for channel, scale in sorted(noise_scale.items())
-    ]  # fmt: skip
-    return Table(("channel", "residual sd / noise sd", ""), ("name", STRONG, ""), rows)
 
 
 def _data_section(result: Identification) -> Section:

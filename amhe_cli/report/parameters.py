@@ -119,7 +119,7 @@ def budget_section(parameters: Sequence[ParameterResult]) -> Section:
     ]
     head = ("parameter", "sd", "variance", "", "with twice the prior's sd")
     kinds = [kind for kind in KINDS if any(kind == name for shares in shown for name, _ in shares)]
-    meanings = Markup("; ").join(cell("key", f"{kind}: {KINDS[kind]}", _COLORS[kind]) for kind in kinds)
+    meanings = Markup("; ").join(cell("key", kind, KINDS[kind], _COLORS[kind]) for kind in kinds)
     return Section(
         "Where each interval comes from",
         text=meanings + ". The last column says how far the estimate would move.",
