@@ -416,9 +416,7 @@ def test_words_name_every_verdict_that_is_not_identified() -> None:
     assert "damping: determined by the logs if the gain of servo, 4, is right" in text
     assert "friction_loss: the logs narrow it down: use" in text
     assert "armature: the logs hardly narrow it down: the value is your prior" in text
-    assert (
-        "Misfit 3.6 times the noise (arm.velocity 3.6 and arm.position 1): about 1" in text
-    )
+    assert "Misfit 3.6 times the noise (arm.velocity 3.6 and arm.position 1): about 1" in text
     assert "The model misses something there, or the noise is larger than declared." in text
 
 
