@@ -44,13 +44,13 @@ class Motion:
         name: Short name.
         title: Title in words.
         phases: Segments of the motion, one after the other.
-        lift: How much higher than usual the trunk is [m].
+        bob: How far the trunk rises and sinks, once a second [m].
     """
 
     name: str
     title: str
     phases: tuple[Segment, ...]
-    lift: float = 0.0
+    bob: float = 0.0
 
     @property
     def seconds(self) -> float:
@@ -84,7 +84,7 @@ MOTIONS = (
     STEADY,
     Motion("surge", "a surge in every stride", _surges(None, 1, 0.1)),
     Motion("sides", "surges left and right in turn", _surges(0.12, 2, 0.05) + _surges(-0.12, 2, 0.05)),
-    Motion("low", "push on with a lower trunk", STEADY.phases, lift=-0.03),
+    Motion("bob", "push on while the trunk rises and sinks", STEADY.phases, bob=0.03),
 )
 
 
@@ -96,6 +96,8 @@ def named_motion(name: str) -> Motion:
 #: Place of the box in front of the robot, and length of its path, to whose end no probe comes [m].
 _PLACE, _LENGTH = Box().position, 100.0
 _GAIT = Gait()
+#: Plans are made for the trunk's height so much later [s]: a third of their horizon.
+_AHEAD = 0.1
 
 
 class MotionHelm(Helm):
@@ -115,8 +117,8 @@ class MotionHelm(Helm):
     def reference(self, state: State, overlap: float = 0.0) -> Reference:
         """What the controller is to do now; a lost face is found again first."""
         at, phase = super().reference(state, overlap), self._motion.at(state.time)
-        risen = min(2.0 * max(state.time - APPROACH.seconds, 0.0), 1.0)  # in half a second
-        at = replace(at, lift=risen * self._motion.lift)
+        height = self._motion.bob * limited(2.0 * max(state.time - APPROACH.seconds, 0.0), 1.0)
+        at = replace(at, lift=height * float(np.sin(2.0 * np.pi * (state.time + _AHEAD))))
         if self.retreating:
             return at
         gap, _ = self.gap(state, overlap)

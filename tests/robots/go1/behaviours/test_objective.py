@@ -339,13 +339,14 @@ def test_a_motion_repeats_behind_the_approach() -> None:
     assert TRY.at(1.0 + 1000 * 3.5).speed == 0.25, "to the instant, however long"
 
 
-def test_a_motion_with_a_lower_trunk_goes_down_in_half_a_second() -> None:
-    low = helm(replace(TRY, lift=-0.03))
-    assert [low.reference(state(t)).lift for t in (0.5, 1.25, 3.0)] == pytest.approx([0.0, -0.015, -0.03])
+def test_the_trunk_rises_and_sinks_from_the_approach_on() -> None:
+    bobs = helm(replace(TRY, bob=0.03))
+    lifts = [bobs.reference(state(t)).lift for t in (0.5, 1.25, 2.15, 2.65, 3.15)]
+    assert lifts == pytest.approx([0.0, 0.015 * np.sin(0.7 * np.pi), 0.03, -0.03, 0.03])
     belief = {"box_mass": 4.0, "floor_friction": 0.4}
-    usual, down = (Walking(one).move(state(3.0), belief) for one in (helm(TRY), low))
-    assert down.height - usual.height == pytest.approx(-0.03)
-    assert down.gait.height - usual.gait.height == pytest.approx(-0.03)
+    usual, high = (Walking(one).move(state(2.15), belief) for one in (helm(TRY), bobs))
+    assert high.height - usual.height == pytest.approx(0.03)
+    assert high.gait.height - usual.gait.height == pytest.approx(0.03)
 
 
 def test_surges_keep_step_with_the_trot() -> None:
