@@ -84,7 +84,7 @@ MOTIONS = (
     STEADY,
     Motion("surge", "a surge in every stride", _surges(None, 1, 0.1)),
     Motion("sides", "surges left and right in turn", _surges(0.12, 2, 0.05) + _surges(-0.12, 2, 0.05)),
-    Motion("bob", "push on while the trunk rises and sinks", STEADY.phases, bob=0.03),
+    Motion("bob", "push on while the trunk rises and sinks", STEADY.phases, bob=0.04),
 )
 
 
