@@ -46,7 +46,9 @@ logger = logging.getLogger(__name__)
 EXPLAINS = 0.1
 #: First change of numbers, in their sd; where contacts jitter, it is all of the sd.
 SMALL = 0.05
-#: Most turns of samples along the axes of a posterior, and the growth of a variance that calls for one more.
+#: Samples along the axes of a posterior, in its sd: ridges bend from 0.4 on, and seven digits want long ones.
+ALONG = 0.2
+#: Most turns of these, and the growth of a variance that calls for one more.
 TURNS, GROWN = 4, 1.2
 #: Error of the estimate, in its sd, below which a number has no say in it.
 FELT = 0.03
@@ -287,7 +289,7 @@ class _Nuisances:
 
         Two gains and the masses have a common factor of which no log knows anything, and of each of them
         alone a log may know a thousandth of what its data sheet leaves open. So samples follow the axes of
-        their posterior, by a small part of its width, and z and the first states follow them; again, until it
+        their posterior, by a part of its width, and z and the first states follow them; again, until it
         gets no wider. Where contacts jitter, each number is moved by its sd.
         """
         found, first, whole = self, len(self.changes), np.eye(len(self.values))
@@ -295,7 +297,7 @@ class _Nuisances:
             known, _, moves = found.posterior
             gain = self._loose[..., None] * found._found.nuisance_gain
             turns = gain[..., : len(moves)] @ moves[:, first:] + gain[..., len(moves) + first :]
-            steps = whole if self.problem.non_smooth else SMALL * axes(known[first:, first:])
+            steps = whole if self.problem.non_smooth else ALONG * axes(known[first:, first:])
             slopes = self._with_changes(self._sampled(moves[:, first:], turns, steps))
             found = _Nuisances(self.fit, self.changes, self.values, slopes, self._at)
             grown = found.posterior[0].diagonal() / known.diagonal()
