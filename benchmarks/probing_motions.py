@@ -38,8 +38,8 @@ def turns(*phases: tuple[float, float]) -> Motion:
 MOTIONS = {
     "0.2 m/s, steady": STEADY,
     "0.4 m/s, steady": turns((0.4, 1.0)),
-    "0.4 / 0.1 m/s, 0.25 s each (`surge`)": named_motion("surge"),
-    "the same, left and right (`sides`)": named_motion("sides"),
+    "0.4 / 0.1 m/s, 0.25 s each": turns((0.4, 0.25), (0.1, 0.25)),
+    "0.4 / 0.05, left and right (`sides`)": named_motion("sides"),
     "0.2 m/s, the trunk 4 cm up and down (`bob`)": named_motion("bob"),
     "`sides`, the trunk 2 cm up and down": replace(named_motion("sides"), bob=0.02),
     "0.5 / 0.1, 0.25 s each": turns((0.5, 0.25), (0.1, 0.25)),

@@ -72,18 +72,14 @@ APPROACH = Motion("approach", "walk up to the box", (Segment(1.0, 0.2),))
 STEADY = Motion("steady", "push on at one speed", (Segment(1.0, 0.2),))
 
 
-def _surges(offset: float | None, count: int, slow: float) -> tuple[Segment, ...]:
-    """Surges of speed at an offset from the box's middle, each in the first half of a stride of 0.5 s.
-
-    0.5 m/s would reveal hardly more, and take joint targets to where the link trips (`target_jump`).
-    """
-    return (Segment(0.25, 0.4, offset), Segment(0.25, slow, offset)) * count
+def _surges(offset: float) -> tuple[Segment, ...]:
+    """Two surges of speed, in the first halves of strides; 0.5 m/s would trip the link (`target_jump`)."""
+    return (Segment(0.25, 0.4, offset), Segment(0.25, 0.05, offset)) * 2
 
 
 MOTIONS = (
     STEADY,
-    Motion("surge", "a surge in every stride", _surges(None, 1, 0.1)),
-    Motion("sides", "surges left and right in turn", _surges(0.12, 2, 0.05) + _surges(-0.12, 2, 0.05)),
+    Motion("sides", "surges left and right in turn", _surges(0.12) + _surges(-0.12)),
     Motion("bob", "push on while the trunk rises and sinks", STEADY.phases, bob=0.04),
 )
 

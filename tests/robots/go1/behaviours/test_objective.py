@@ -350,8 +350,8 @@ def test_the_trunk_rises_and_sinks_from_the_approach_on() -> None:
 
 
 def test_surges_keep_step_with_the_trot() -> None:
-    surge = named_motion("surge")
-    assert surge.seconds == pytest.approx(Gait().period)
+    sides = named_motion("sides")
+    assert sides.seconds == pytest.approx(4.0 * Gait().period)
 
 
 def test_the_helm_commands_the_motions_speed_and_place_of_the_push() -> None:
