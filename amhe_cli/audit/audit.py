@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.audit.claims import Claim, Group, claims_of, doubts_of
-from amhe_cli.audit.judge import Findings, Said, chances, contradicted, judged, wrong_sheets
+from amhe_cli.audit.judge import Findings, Said, chances, contradicted, judged, said, wrong_sheets
 from amhe_cli.audit.suspects import Explanation, Searched, findings_of, rows_of, sheets_of, without_suspects
 from amhe_cli.audit.weight import anywhere, weights
 from amhe_cli.check.motion import states_along
@@ -30,6 +30,8 @@ from amhe_cli.system.system import System
 #: Clips of the searches where motions are matched, and their length [s]: many short ones, along which even
 #: wrong numbers do not lead far away, show what is far off, and some of the usual length by how much.
 _CLIPS = ((16, 0.3), (12, None))
+#: Clips that show that nothing else explains the logs.
+_LOOK = 4
 #: The same where what is slow stands still in the short ones.
 _SLOW = 5
 #: Correlation from which two numbers are known only together.
@@ -151,7 +153,8 @@ def audit(
             again = partial(searched, _SLOW, None)
             search, wrong = without_suspects(again, claims, wrong, search)
     assert search is not None
-    found, judgement, at = _concluded(again, Explanation(search, wrong, claims))
+    look = again if proposal.match == "effort" else partial(searched, _LOOK, None)
+    found, judgement, at = _concluded(again, look, Explanation(search, wrong, claims))
     system = at.search.problem.system
     lines = _lines(system, found, claims, judgement, logs)
     return Audit(tuple(lines), system, found, tuple(claims), proposal)
@@ -159,14 +162,21 @@ def audit(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Judgement:
-    """Evidence of the best explanation, and of k claims what the logs say and the chances (k,)."""
+    """Evidence of the best explanation, and of k claims what the logs say and the chances (k,).
+
+    `free`: the chance of each with all other sheets left open, as far as slopes reach. What that excludes, no
+    other explanation is searched for.
+    """
 
     evidence: Findings
     said: Said
     chance: FloatArray
+    free: FloatArray
 
 
-def _concluded(searched: Searched, first: Explanation) -> tuple[Identification, _Judgement, Explanation]:
+def _concluded(
+    searched: Searched, looked: Searched, first: Explanation
+) -> tuple[Identification, _Judgement, Explanation]:
     """The best explanation, and its claims judged: what it contradicts has been believed once."""
     others, tested = list[Explanation](), set[Group]()
     found = concluded(first.search, quick=True)
@@ -174,13 +184,15 @@ def _concluded(searched: Searched, first: Explanation) -> tuple[Identification, 
     try:
         while not _unjudged(found):
             far = chances(judgement.said.t)
-            some = zip(first.claims, far, contradicted(far), strict=True)
-            left = {claim.group: one for claim, one, wrong in some if wrong and claim.group not in tested}
+            some = zip(first.claims, far, contradicted(far) & ~contradicted(judgement.free), strict=True)
+            left = {
+                claim.group: one for claim, one, doubtful in some if doubtful and claim.group not in tested
+            }
             if not left:
                 break
             group = max(left, key=left.__getitem__)  # the first that something else may explain
             tested.add(group)
-            if (other := first.rival(searched, group)) is not None:
+            if (other := first.rival(searched, looked, group)) is not None:
                 others.append(other)
                 if other.likely > 0.0:  # the first is one of the others from now on
                     others = [replace(one, likely=one.likely - other.likely) for one in (first, *others)]
@@ -202,15 +214,22 @@ def _judgement(
     space = first.search.problem.system.space
     at = space.phi_of(found.belief.estimate)
     evidence = findings_of(space, at, found.unbounded, found.information, found.belief.covariance)
-    tests = []
+    tests, free = [], np.array([])
     for one, findings in ((first, evidence), *((other, other.evidence) for other in others)):
         system = one.search.problem.system
         sheets, rows = sheets_of(findings, system, one.claims), rows_of(system, one.claims)
         sets = wrong_sheets(findings, sheets, one.wrong)
         sets = {some: likely for some, likely in sets.items() if not (some ^ one.wrong) & tested}
         tests.append(judged(findings, sheets, sets, rows, system.space.log[rows]))
+        if one is first:
+            least = np.broadcast_to(sheets.least, sheets.file.shape)[rows]
+            opened = findings.with_priors(sheets.sd(sheets.groups))
+            free = chances(
+                said(opened, rows, sheets.file[rows], sheets.right[rows], system.space.log[rows], least).t
+            )
     share = np.exp([first.likely, *(other.likely for other in others)])
-    return _Judgement(evidence, tests[0][0], share @ np.array([chance for _, chance in tests]) / share.sum())
+    chance = share @ np.array([each for _, each in tests]) / share.sum()
+    return _Judgement(evidence, tests[0][0], chance, free)
 
 
 def _assumed(settings: Mapping[str, Any]) -> AssumedSettings:

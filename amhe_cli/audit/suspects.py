@@ -20,6 +20,7 @@ from amhe_cli.audit.judge import ODDS, Findings, Sheets, wrong_sheets
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.estimation.conclude import Search
+from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.uncertainty.fit import FinalFit, scored
 from amhe_cli.estimation.uncertainty.misfit import unexplained
@@ -68,28 +69,31 @@ class Explanation:
     def against(self, first: Explanation, least: bool = False) -> float:
         """Logarithm of the odds to the first explanation, by Laplace's approximation of their evidence.
 
-        `least`: the most that they can be with these values, whatever sheets were wrong.
+        `least`: the most that they can be by this one's clips and values, whatever sheets were wrong.
         """
         both = []
         for one, sheets in ((self, frozenset() if least else self.wrong), (first, first.wrong)):
             space, z = one.search.problem.system.space, one.search.finding.z
             sd, off = one.sheets.sd(sheets), space.phi_of(space.theta_of(z)) - one.sheets.file
-            cost = _misfit(first.search.fit, space.theta_of(z))
+            cost = _misfit(first.search.fit, space.theta_of(z), self.search.problem if least else None)
             if not (least and one is self):
                 cost += float(((off / sd) ** 2).sum()) + 2.0 * ODDS * len(sheets)
             spread = np.eye(len(sd)) + sd[:, None] * first.evidence.information * sd
             both.append(-0.5 * (cost + float(np.linalg.slogdet(spread)[1])))
         return both[0] - both[1]
 
-    def rival(self, searched: Searched, right: Group) -> Explanation | None:
-        """What else explains the logs if one sheet is right; None where that is out of the question."""
+    def rival(self, searched: Searched, looked: Searched, right: Group) -> Explanation | None:
+        """What else explains the logs if one sheet is right; None where that is out of the question.
+
+        `looked` searches few of the clips, which suffice to say so.
+        """
         at, believed = np.array(self.search.finding.z), frozenset({right})
         rows = list(self.sheets.groups[right])
         space = self.search.problem.system.space
         at[rows] = ((self.sheets.file - space.phi_of(space.nominal)) / space.prior_sd)[rows]
         near = replace(self.search, finding=replace(self.search.finding, z=space.clip(at), straight=False))
         free = frozenset(self.sheets.groups) - believed
-        other = Explanation(searched(free, near), free, self.claims)
+        other = Explanation(looked(free, near), free, self.claims)
         if other.against(self, least=True) < _HOPELESS:
             return None
         few = next(iter(wrong_sheets(other.evidence, other.sheets, right=believed)))
@@ -100,11 +104,17 @@ class Explanation:
         return replace(other, likely=likely) if likely > _HOPELESS else None
 
 
-def _misfit(fit: FinalFit, theta: FloatArray) -> float:
-    """-2 log likelihood of values theta (d,), but for a constant, under the noise that a fit has left."""
-    problem, z = fit.problem, fit.space.z_of(theta)
-    each = scored(problem, fit.slopes.cost, z, fit.shape).misfit(fit.times)
-    return float(np.where(fit.weight > 0.0, each, 0.0) @ fit.weight)
+def _misfit(fit: FinalFit, theta: FloatArray, few: Problem | None) -> float:
+    """-2 log likelihood of values theta (d,), but for a constant, under the noise that a fit has left.
+
+    `few`: a problem with the clips that count, in place of the fit's own.
+    """
+    problem = few or fit.problem
+    space, weight = problem.system.space, np.ones(len(problem.clips)) if few else fit.weight
+    cost, shape = problem.cost(problem.clips, fit.finding.scale), fit.shape
+    shape = (fit.space.prior_sd / space.prior_sd)[:, None] * shape
+    each = scored(problem, cost, space.z_of(theta), shape).misfit(fit.times)
+    return float(np.where(weight > 0.0, each, 0.0) @ weight)
 
 
 def without_suspects(
