@@ -316,7 +316,7 @@ def linearise(
             centre=centre,
             gain=gain,
             curves=curves * namespace_of(curves).asarray(pairs.T[:bent, :, None]),
-            bend=bend - lift**2 if averaged else bend,
+            bend=np.maximum(bend - lift**2, 0.0) if averaged else bend,  # rounding leaves less than nothing
             first=first,
             pairs=directions[:, :d],
             completed=residuals.completed[-1] & (pairs.sum(axis=1) >= 0.75 * half),
