@@ -13,6 +13,7 @@ import pytest
 
 import amhe_cli as amhe
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.each_log import searched
 from amhe_cli.engine.inverse import forces_along
 from amhe_cli.estimation.core.result import Missing
 from amhe_cli.estimation.explain.candidate import CauseMaker
@@ -318,28 +319,29 @@ def test_identify_says_what_the_model_lacks(sprung: tuple[amhe.System, amhe.Log]
     assert "What is missing" in page
 
 
-@pytest.mark.medium
-def test_a_servo_that_acts_inside_a_limit_is_named_with_its_speed() -> None:
-    """A drive by voltage: 60 N m/rad up to 2.45 N m, less 0.38 N m s/rad; its model is stiff to less."""
-    lever = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body>
-      <joint name="lever" axis="0 1 0" damping="0.05" armature="0.01"/><geom pos="0 0 -0.2" size="0.03"
-      mass="0.35"/></body></worldbody><actuator>{}</actuator></mujoco>"""
-    model = mujoco.MjModel.from_xml_string(lever.format('<motor joint="lever"/>'))
+LEVER = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body>
+  <joint name="lever" axis="0 1 0" damping="0.05" armature="0.01"/><geom pos="0 0 -0.2" size="0.03"
+  mass="0.35"/></body></worldbody><actuator>{}</actuator></mujoco>"""
+SERVO = '<position name="servo" joint="lever" kp="20" kv="1" forcerange="-2.45 2.45"/>'
+
+
+def _lever(servo: str, stiffness: float, **known: float) -> tuple[amhe.System, amhe.Log]:
+    """A lever with a model of its servo, driven by voltage: so stiff [N m/rad] up to 2.45 N m, less 0.38."""
+    model = mujoco.MjModel.from_xml_string(LEVER.format('<motor joint="lever"/>'))
     data, rng, rows, target, due = mujoco.MjData(model), np.random.default_rng(0), [], 0.0, 0.0
     for k in range(1500):
         if 0.01 * k >= due:
             target, due = rng.uniform(-1.4, 1.4), due + rng.uniform(0.5, 1.2)
         rows.append([0.01 * k, target, data.qpos[0] + rng.normal(0.0, 5e-4)])
         for _ in range(5):
-            data.ctrl[0] = (
-                2.45 * np.clip(60.0 / 2.45 * (target - data.qpos[0]), -1.0, 1.0) - 0.377 * data.qvel[0]
-            )
+            data.ctrl[0] = np.clip(stiffness * (target - data.qpos[0]), -2.45, 2.45) - 0.377 * data.qvel[0]
             mujoco.mj_step(model, data)
     time, targets, q = np.array(rows).T
-    servo = '<position name="servo" joint="lever" kp="20" kv="1" forcerange="-2.45 2.45"/>'
+    gain = {"kp": {"nominal": 40.0, "targets": [{"actuator": "servo", "set": "gain"}]}}
     system = amhe.System.from_model(
-        mujoco.MjSpec.from_string(lever.format(servo)),
-        parameters={"damping": {"nominal": 0.05, "targets": [{"joint": "lever", "set": "damping"}]}},
+        mujoco.MjSpec.from_string(LEVER.format(servo)),
+        parameters={"damping": {"nominal": 0.05, "targets": [{"joint": "lever", "set": "damping"}]}}
+        | (gain if known else {}),
         signals={
             "joints": {"joints": ["lever"], "noise": {"position": 5e-4}},
             "command": {"actuators": ["servo"], "quantity": "position"},
@@ -349,12 +351,37 @@ def test_a_servo_that_acts_inside_a_limit_is_named_with_its_speed() -> None:
         "joints": {"time": time, "position": q[:, None]},
         "command": {"time": time, "position": targets[:, None]},
     }
+    return system, replace(amhe.Log.from_arrays(arrays, system), known=known)
 
-    row = _explained(system, amhe.Log.from_arrays(arrays, system)).rows[0]
+
+@pytest.mark.medium
+def test_a_servo_that_acts_inside_a_limit_is_named_with_its_speed() -> None:
+    """A drive by voltage: 60 N m/rad up to 2.45 N m, less 0.38 N m s/rad; its model is stiff to less."""
+    system, log = _lever(SERVO, 60.0)
+
+    row = _explained(system, log).rows[0]
 
     assert (row.kind, row.place) == ("servo limit", "servo")
     assert row.text.startswith("servo never exceeds 6.")
     assert {"servo_gain", "servo_force_limit", "damping"} <= row.repair.keys()
+
+
+@pytest.mark.medium
+def test_logs_that_know_their_gains_have_one_limit() -> None:
+    """Twice as stiff in one log: 2.45 N m, and no other gain, which each log knows."""
+    made = [_lever(SERVO.replace("20", "40"), kp, kp=kp) for kp in (20.0, 60.0)]
+    logs = [log for _, log in made]
+    system = made[0][0]
+    system = replace(system, space=searched(system.space, logs))
+
+    found = explain(
+        system, [whole(log) for log in logs], np.zeros(len(system.space)), np.random.default_rng(0)
+    )
+
+    row = found.rows[0]
+    assert (row.kind, row.place) == ("servo limit", "servo")
+    assert "times its gains less 0.3" in row.text and "up to 2." in row.text
+    assert "servo_force_limit" in row.repair and not {"kp", "servo_gain"} & row.repair.keys()
 
 
 # -- torques along a measured motion -------------------------------------------------------------------------

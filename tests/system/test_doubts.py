@@ -91,7 +91,7 @@ def test_what_is_right_is_not_doubted(
             "joints",
             ("position", "velocity"),
             180.0 / np.pi,
-            "'joints': the position looks like degrees (should",
+            "'joints': position reaches 72.75 rad: looks like degrees (shoulder); unit: deg in system.yaml",
         ),
         ("joints", "velocity", 30.0 / np.pi, "'joints': the velocity looks like rpm (shoulder, elbow)"),
         ("command", "position", 180.0 / np.pi, "'command': the command looks like degrees (shoulder, elbow)"),

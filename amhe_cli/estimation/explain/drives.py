@@ -94,8 +94,9 @@ def _inside(maker: CauseMaker, a: int) -> Iterator[Cause]:
     gear, at = float(model.actuator_gear[a, 0]), int(model.actuator_actadr[a])
     q, v = gear * j.q, gear * j.v
     target = motion.inputs[:, place.start + int(model.actuator_ctrladr[a])] if at < 0 else motion.act[:, at]
-    gain, bias = float(model.actuator_gainprm[a, 0]), model.actuator_biasprm[a]
-    now, turn = maker.found.forces.by[:, a, j.dof], bias[0] + bias[1] * q
+    assert maker.found.laws is not None, "a command moves it"
+    gain, bias, slope = maker.found.laws[:, a, :3].T  # of each row: logs may have gains of their own
+    now, turn = maker.found.forces.by[:, a, j.dof], bias + slope * q
     fast = float(np.quantile(np.abs(v), 0.998))
     pull = gain * target + turn
     pulls = [("servo limit", most, np.clip(pull, -most, most)) for most in limits_of(pull)]
@@ -107,12 +108,13 @@ def _inside(maker: CauseMaker, a: int) -> Iterator[Cause]:
         factor, slows, _ = _replaced(maker, j.dof, now, gear * values, -gear * v, -change)
         if factor <= 0.0 or (kind == "servo limit" and slows <= 0.0):
             continue
-        drive = f"as {factor * gain:.2g} {j.f}/{j.u} less {slows:.2g} {j.f} s/{j.u}"
+        stiff = f"{factor:.2g} times its gains" if np.ptp(gain) else f"{factor * gain[0]:.2g} {j.f}/{j.u}"
+        drive = f"as {stiff} less {slows:.2g} {j.f} s/{j.u}"
         text, repair = {
             "servo limit": (
                 f"{name} never exceeds {fast:.2g} {j.u}/s: its gains act inside a limit, "
                 f"{drive} up to {factor * most:.2g} {j.f}",
-                lambda c, sd, how=(factor, factor * most, slows): _limited(maker, a, j, *how),
+                lambda c, sd, how=(factor * gain, factor * most, slows): _limited(maker, a, j, *how),
             ),
             "slew limit": (
                 f"{name} follows its command at no more than {most:.2g} {j.u}/s (a profile, slewmax of a "
@@ -147,19 +149,24 @@ def _replaced(maker: CauseMaker, dof: int, now: FloatArray, *columns: FloatArray
 
 
 def _limited(
-    maker: CauseMaker, a: int, j: MeasuredDof, factor: float, most: float, slows: float
+    maker: CauseMaker, a: int, j: MeasuredDof, gain: FloatArray, most: float, slows: float
 ) -> dict[str, Any]:
-    """Parameters of a servo that pulls in proportion up to a limit, and is slowed as by drag."""
+    """Parameters of a servo that pulls in proportion up to a limit, and is slowed as by drag.
+
+    Of several gains, which logs know, none is freed.
+    """
     name, found = maker.model.actuator(a).name, {}
     if not maker.model.actuator_forcelimited[a]:
         return {}
     for word, field, row, column, value in (
-        ("gain", "actuator_gainprm", a, 0, factor * maker.now("actuator_gainprm", a)),
+        ("gain", "actuator_gainprm", a, 0, float(gain[0])),
         ("force_limit", "actuator_forcerange", a, 1, most),
         ("damping", "dof_damping", j.dof, 0, maker.now("dof_damping", j.dof) + slows),
         ("actuator_damping", "actuator_biasprm", a, 2, -0.1 * maker.now("actuator_biasprm", a, 2)),
     ):
         where = {"joint": j.name} if word == "damping" else {"actuator": name}
+        if word == "gain" and np.ptp(gain):
+            continue
         if value > 0.0 or (field, row, column) in maker.set:
             found |= maker.became((field, row, column), value, 0.0, **where, set=word)
     return found

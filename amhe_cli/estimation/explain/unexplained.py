@@ -35,6 +35,7 @@ class Unexplained:
         forces: Forces along the motion, not filtered.
         uncommanded: What each actuator gives without its command, shape (n, actuators, nv).
         weights: How much the residual counts, shape (n, k); None: alike at all rows that count.
+        laws: Gain and the three biases of each actuator, as its log has them, shape (n, actuators, 4).
     """
 
     motion: DrivenMotion
@@ -45,6 +46,7 @@ class Unexplained:
     forces: Forces
     uncommanded: FloatArray
     weights: FloatArray | None = None
+    laws: FloatArray | None = None
 
     @property
     def moved(self) -> FloatArray:
@@ -118,7 +120,9 @@ def unexplained(system: System, parts: Sequence[Window], z: FloatArray) -> Unexp
     if (place := controls(system.model, system.input_spec)) is not None:
         inputs[:, place] = 0.0
     uncommanded = along(system, logs, replace(motion, inputs=inputs, act=0.0 * motion.act), theta).by
-    return Unexplained(motion, rows, residual, slopes, toward, found, uncommanded)
+    models = models_of(system, logs, theta)
+    laws = np.stack([np.c_[m.actuator_gainprm[:, :1], m.actuator_biasprm[:, :3]] for m in models])[motion.log]
+    return Unexplained(motion, rows, residual, slopes, toward, found, uncommanded, laws=laws)
 
 
 def scale_of(system: System) -> FloatArray:
@@ -135,13 +139,17 @@ def stepped(system: System, z: FloatArray, fit: FloatArray) -> FloatArray:
     return space.clip(space.z_of(np.where(space.log, np.clip(moved, 0.5 * theta, 2.0 * theta), moved)))
 
 
+def models_of(system: System, logs: Sequence[Log], theta: FloatArray):  # type: ignore[no-untyped-def]
+    """The model of each log, with its own values."""
+    values = [values_on(log, system.edits.space, system.space, theta[None])[0] for log in logs]
+    return [system.edits.apply(system.model, each) for each in values]
+
+
 def along(system: System, logs: Sequence[Log], motion: DrivenMotion, theta: FloatArray) -> Forces:
     """Forces along a motion as a rollout computes them, each log with its own values."""
     made = []
-    for number, log in enumerate(logs):
+    for number, model in enumerate(models_of(system, logs, theta)):
         own = motion.log == number
-        values = values_on(log, system.edits.space, system.space, theta[None])[0]
-        model = system.edits.apply(system.model, values)
         moved = motion.qpos[own], motion.qvel[own], motion.qacc[own]
         made.append(forces_as_stepped(model, *moved, motion.inputs[own], system.input_spec, motion.act[own]))
     joined = {name: np.concatenate([getattr(one, name) for one in made]) for name in Forces.__slots__}
@@ -150,10 +158,7 @@ def along(system: System, logs: Sequence[Log], motion: DrivenMotion, theta: Floa
 
 def apart_in(system: System, logs: Sequence[Log], motion: DrivenMotion, theta: FloatArray) -> BoolArray:
     """Rows that no contact reaches through the filter, shape (n,)."""
-    model = system.edits.apply(
-        system.model, values_on(logs[0], system.edits.space, system.space, theta[None])[0]
-    )
-    clear = apart(model, motion.qpos)
+    clear = apart(models_of(system, logs[:1], theta)[0], motion.qpos)
     for stretch in motion.stretches:
         near = np.convolve(~clear[stretch], np.ones(2 * motion.reach + 1), "same")
         clear[stretch] = near[: stretch.stop - stretch.start] < 0.5
