@@ -167,7 +167,7 @@ def trial(number: int, robots: list[str], seconds: float) -> dict[str, Any]:
     logging.disable(logging.WARNING)
     seed, place = divmod(number, len(robots))
     robot = robots[place]
-    rng = np.random.default_rng([seed, len(robot)])
+    rng = np.random.default_rng([seed, *Path(robot).stem.encode()])
     spec = spec_of(robot)
     model = spec.compile()
     with tempfile.TemporaryDirectory() as name:

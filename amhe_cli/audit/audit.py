@@ -24,6 +24,7 @@ from amhe_cli.core.yaml_file import merged
 from amhe_cli.estimation.conclude import Search
 from amhe_cli.estimation.core.result import Identification, Iteration
 from amhe_cli.estimation.identification import IdentifyOptions, concluded, searched_for
+from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.init.folder import Proposal
 from amhe_cli.system.system import System
 
@@ -178,9 +179,9 @@ def _concluded(
     searched: Searched, looked: Searched, first: Explanation
 ) -> tuple[Identification, _Judgement, Explanation]:
     """The best explanation, and its claims judged: what it contradicts has been believed once."""
-    others, tested = list[Explanation](), set[Group]()
+    others, tested, decided = list[Explanation](), set[Group](), set[Group]()
     found = concluded(first.search, quick=True)
-    judgement = _judgement(found, first, others, tested)
+    judgement = _judgement(found, first, others, decided)
     try:
         while not _unjudged(found):
             far = chances(judgement.said.t)
@@ -192,24 +193,27 @@ def _concluded(
                 break
             group = max(left, key=left.__getitem__)  # the first that something else may explain
             tested.add(group)
-            if (other := first.rival(searched, looked, group)) is not None:
+            other = first.rival(searched, looked, group)
+            if isinstance(other.search.finding, SearchState) and other.search.finding.settled:
+                decided.add(group)  # a search that has not ended excludes nothing
+            if not other.hopeless:
                 others.append(other)
                 if other.likely > 0.0:  # the first is one of the others from now on
                     others = [replace(one, likely=one.likely - other.likely) for one in (first, *others)]
                     first = others.pop()
                     found = concluded(first.search, quick=True)
-            judgement = _judgement(found, first, others, tested)
+            judgement = _judgement(found, first, others, decided)
     except KeyboardInterrupt:
         found = replace(found, interrupted=True)
     return found, judgement, first
 
 
 def _judgement(
-    found: Identification, first: Explanation, others: Sequence[Explanation], tested: Set[Group]
+    found: Identification, first: Explanation, others: Sequence[Explanation], decided: Set[Group]
 ) -> _Judgement:
     """The test of each claim, over explanations by their evidence.
 
-    Whether a sheet that was `tested` is right, they say themselves, and not what is linear about them.
+    Whether a sheet is right that searches `decided`, they say themselves, and not what is linear about them.
     """
     space = first.search.problem.system.space
     at = space.phi_of(found.belief.estimate)
@@ -219,7 +223,7 @@ def _judgement(
         system = one.search.problem.system
         sheets, rows = sheets_of(findings, system, one.claims), rows_of(system, one.claims)
         sets = wrong_sheets(findings, sheets, one.wrong)
-        sets = {some: likely for some, likely in sets.items() if not (some ^ one.wrong) & tested}
+        sets = {some: likely for some, likely in sets.items() if not (some ^ one.wrong) & decided}
         tests.append(judged(findings, sheets, sets, rows, system.space.log[rows]))
         if one is first:
             least = np.broadcast_to(sheets.least, sheets.file.shape)[rows]

@@ -82,11 +82,13 @@ class Explanation:
             both.append(-0.5 * (cost + float(np.linalg.slogdet(spread)[1])))
         return both[0] - both[1]
 
-    def rival(self, searched: Searched, looked: Searched, right: Group) -> Explanation | None:
-        """What else explains the logs if one sheet is right; None where that is out of the question.
+    @property
+    def hopeless(self) -> bool:
+        """Whether it is out of the question."""
+        return self.likely < _HOPELESS
 
-        `looked` searches few of the clips, which suffice to say so.
-        """
+    def rival(self, searched: Searched, looked: Searched, right: Group) -> Explanation:
+        """What else explains the logs if one sheet is right; `looked` searches few of the clips."""
         at, believed = np.array(self.search.finding.z), frozenset({right})
         rows = list(self.sheets.groups[right])
         space = self.search.problem.system.space
@@ -94,14 +96,14 @@ class Explanation:
         near = replace(self.search, finding=replace(self.search.finding, z=space.clip(at), straight=False))
         free = frozenset(self.sheets.groups) - believed
         other = Explanation(looked(free, near), free, self.claims)
-        if other.against(self, least=True) < _HOPELESS:
-            return None
+        other = replace(other, likely=other.against(self, least=True))
+        if other.hopeless:
+            return other
         few = next(iter(wrong_sheets(other.evidence, other.sheets, right=believed)))
         other = Explanation(
             *without_suspects(searched, self.claims, few, other.search, believed), self.claims
         )
-        likely = other.against(self)
-        return replace(other, likely=likely) if likely > _HOPELESS else None
+        return replace(other, likely=other.against(self))
 
 
 def _misfit(fit: FinalFit, theta: FloatArray, few: Problem | None) -> float:
