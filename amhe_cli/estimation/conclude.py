@@ -51,7 +51,7 @@ from amhe_cli.system.system import System
 logger = logging.getLogger(__name__)
 
 #: Parts of a conclusion, for its progress.
-PARTS = 8
+PARTS = 9
 #: Linearisations of all clips that a conclusion needs at least.
 RESERVE = 3
 #: Steps that a settled search may still take with the noise that it has left.
@@ -280,7 +280,8 @@ def _ledger(fit: FinalFit, rival: Rival | None, watch: Watch, quick: bool) -> tu
     """
     once, exact = fit.problem.linearisation, ()
     doubts = [terms.noise(fit), terms.prior(fit), terms.repeats(fit), terms.search(fit), terms.declared(fit)]
-    doubts.append(terms.curvature(fit))
+    if watch.allows("covariance from wider samples", 0 if fit.problem.non_smooth else once):
+        doubts.append(terms.curvature(fit))
     with_halves = watch.allows("comparison of the logs' halves", 0 if quick else (REFITS + TURNS) * once)
     doubts.append(parts(fit, with_halves=with_halves, refitted=not quick))
     report_drift(fit, doubts[-1])

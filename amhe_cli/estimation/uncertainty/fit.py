@@ -247,13 +247,17 @@ def _after_last_step(fit: FinalFit, before: SearchState) -> FinalFit:
 
 
 def doubled_step(fit: FinalFit) -> Posterior:
-    """Posterior as from samples twice as wide: the same where the model is linear.
+    """Posterior from samples twice as wide: the same where the model is linear.
 
-    Twice the step bends four times as far, and the square of that counts sixteen times. Jitter does not grow.
+    Where contacts jitter, wide samples would be another draw of the jitter, which does not grow with the
+    step. There the samples at hand say what bends: four times as far at twice the step, and the square of
+    that counts sixteen times.
     """
-    bent = bent_by_z(fit.slopes) if fit.problem.non_smooth else fit.slopes.bend
-    grown = (DOUBLED**4 - 1.0) * bent
-    wide = replace(fit.slopes, bend=fit.slopes.bend + grown)
+    if fit.problem.non_smooth:
+        grown = (DOUBLED**4 - 1.0) * bent_by_z(fit.slopes)
+        wide = replace(fit.slopes, bend=fit.slopes.bend + grown)
+    else:
+        wide = _linearised(fit.problem, fit.z, fit.scale, DOUBLED * fit.shape, fit.slopes.first, 0)
     return posterior(fit.z, information(wide), fit.weight, fit.posterior.prior)
 
 
