@@ -164,6 +164,7 @@ class SweepShape:
             is wide.
         lead: Time by which the foot's target leads the foot [s]: the servo's damping over its gain.
         yaw_gain: How far beside the box's middle to push, per turn of the box [m/rad], up to `yaw_limit` [m].
+        path_gain: How much the box is turned back to its path, per distance from it [rad/m].
         leash: Largest distance of the foot's target from the foot [m]: so a soft servo pushes with little
             more than the force that the belief, and the plan's channel, demand.
         back_leash: The same as `leash`, on the way back [m].
@@ -190,6 +191,7 @@ class SweepShape:
     lead: float = 0.06
     yaw_gain: float = 0.3
     yaw_limit: float = 0.05
+    path_gain: float = 3.0
     leash: float = 0.004
     back_leash: float = 0.02
     margin: float = 0.03
@@ -382,7 +384,8 @@ class Sweeping:
     def _contact(self, stance: Plane, box: Body) -> tuple[float, float]:
         """Where to push: the push's line, and where the middle of a foot is that touches the face [m]."""
         s, place = self.shape, stance.place(box.position)
-        aside = limited(s.yaw_gain * stance.turn(box), s.yaw_limit)
+        astray = float(self.path.place(box.position[:2]).left)
+        aside = limited(s.yaw_gain * (stance.turn(box) + s.path_gain * astray), s.yaw_limit)
         return float(place[0]) + aside, float(place[1]) + self.half_width + FOOT_RADIUS
 
     def _prepare(self, stance: Plane, state: State, line: float, face: float, at: Reference) -> SweepMove:

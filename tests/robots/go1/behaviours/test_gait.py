@@ -236,6 +236,14 @@ def test_a_box_beyond_the_leg_s_reach_is_walked_after_and_swept_again() -> None:
     np.testing.assert_allclose(again.foot, first.foot, atol=1e-9)
 
 
+@pytest.mark.parametrize("ahead", [-0.03, 0.03])
+def test_a_box_beside_its_path_is_turned_back_to_it(ahead: float) -> None:
+    """A push to the right, ahead of the box's middle, turns it to the right, and so it goes back."""
+    sweeping = Sweeping(Course((0.1, -0.34), -0.5 * np.pi, 0.5), 0.15)
+    beside = replace(stalled(0.0), box=at_rest((0.1 + ahead, -0.405, 0.15)))
+    assert (sweeping.move(beside, BELIEF).foot[0] - 0.1 - ahead) / ahead == pytest.approx(0.9)
+
+
 def test_a_foot_that_has_slipped_is_taken_for_where_it_is() -> None:
     """In a second or so; the others stay, and so does the free one's place under its hip."""
     sweeping = Sweeping(
