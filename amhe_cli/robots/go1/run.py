@@ -35,6 +35,7 @@ from amhe_cli.live.episode import AdaptiveBelief, BeliefSource, Episode, FixedBe
 from amhe_cli.live.recorder import Recorder
 from amhe_cli.live.target import SimTarget, Target
 from amhe_cli.robots.go1.behaviours.gait import Gait
+from amhe_cli.robots.go1.behaviours.walking import Resistance
 from amhe_cli.robots.go1.judge import Judge
 from amhe_cli.robots.go1.kinematics import HOME, KINDS, SERVOS
 from amhe_cli.robots.go1.model import KD, KP, SYSTEM, Box, home, layout, planner_model
@@ -370,7 +371,7 @@ def belief_source(
     budget = slow * (mhe.budget or mhe.update_period)
     live = _live(options, system)
     worker = InProcess(factory, budget, slow * PATIENCE) if live else InStep(factory, mhe.latency)
-    return AdaptiveBelief(fixed, Tracker(system, worker))
+    return AdaptiveBelief(fixed, Tracker(system, worker), Resistance() if task.pushes else None)
 
 
 def estimator_of(options: RunOptions, start: Belief, belief: Belief | None = None) -> MovingHorizon:

@@ -10,12 +10,13 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from math import hypot
+from math import cos, exp, hypot, log, sin, sqrt
 
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
-from amhe_cli.robots.go1.behaviours.gait import Gait, box_friction, contacts, switches, walk
+from amhe_cli.live.episode import Cycle
+from amhe_cli.robots.go1.behaviours.gait import WEIGHT, Gait, box_friction, contacts, switches, walk
 from amhe_cli.robots.go1.behaviours.objective import (
     Course,
     Place,
@@ -26,8 +27,10 @@ from amhe_cli.robots.go1.behaviours.objective import (
     push_terms,
     wrapped,
 )
-from amhe_cli.robots.go1.state import Body, State, heading_velocity
+from amhe_cli.robots.go1.state import GRAVITY, Body, State, heading_velocity
 
+#: Where the planner's model has the place of the trunk over the floor.
+TRUNK = slice(7, 9)
 #: Longest time that one cycle integrates over, after a pause too [s].
 _LONGEST = 0.05
 
@@ -77,34 +80,87 @@ class Insisting:
     """How much harder to push a box that stands although it should move: less friction was believed.
 
     Args:
-        gain: Growth of the share [1/s] while the box stands, and its fall once it moves.
+        gain: Growth of the share [1/s] while the box stands, and its fall while it moves.
         limit: Greatest share of the push and the speed that is added.
-        least: The box stands if it goes less than this share of its way in `window` [s].
+        least: The box stands below this share of its speed.
         share: Present share.
     """
 
     gain: float = 0.4
     limit: float = 0.8
     least: float = 0.25
-    window: float = 1.0
     share: float = 0.0
-    _seen: deque[tuple[float, float]] = field(default_factory=deque)
+    _time: float = np.inf
 
-    def update(self, time: float, progress: float, speed: float) -> None:
-        """Take in how far the box has come along its path [m], and how fast it should go [m/s]."""
-        passed = min(time - self._seen[-1][0], _LONGEST) if self._seen else 0.0
-        self._seen.append((time, progress))
-        while self._seen[0][0] < time - self.window:
-            self._seen.popleft()
-        begun, first = self._seen[0]
-        known = time - begun > 0.9 * self.window
-        stands = known and progress - first < self.least * speed * (time - begun)
-        more = passed * (self.gain if stands else -self.gain)
+    def update(self, time: float, reached: float, speed: float) -> None:
+        """Take in how fast the pushed box goes, and how fast it should go [m/s]."""
+        passed, self._time = min(max(time - self._time, 0.0), _LONGEST), time
+        more = passed * (self.gain if reached < self.least * speed else -self.gain)
         self.share = min(max(self.share + more, 0.0), self.limit)
 
-    def rest(self) -> None:
-        """The box is not pushed."""
-        self._seen.clear()
+
+@dataclass(slots=True, eq=False)
+class Resistance:
+    """Corrects the believed friction as soon as the trunk is slower, or faster, than plans expected.
+
+    A plan expects a speed of the trunk some time ahead. The momentum that is missing then is that of a force
+    that the belief lacks, beside the force it had meanwhile. Either the belief holds, and the rest is noise;
+    or box or floor is another one, and the force may be any. The belief is corrected by the missing force
+    times the probability of the latter (Bayes). A window of the estimator shows it two tenths of a second
+    later, and ends the correction.
+
+    Args:
+        lead: How far ahead speeds are compared [s].
+        noise: Sd of the speed from what was expected under the right belief [m/s].
+        spread: Sd of the missing force under a wrong one [N].
+        rate: How often box or floor change [1/s].
+        lasting: What is left after `lead` of the probability that the belief is wrong.
+        mass: Mass of the robot [kg].
+        wrong: That probability; 1 of a box that was never touched.
+    """
+
+    lead: float = 0.12
+    noise: float = 0.03
+    spread: float = 20.0
+    rate: float = 0.1
+    lasting: float = 0.5
+    mass: float = WEIGHT / GRAVITY
+    wrong: float = 1.0
+    _plans: deque[tuple[float, float, float, float]] = field(default_factory=deque)
+
+    def __call__(self, cycle: Cycle, belief: Mapping[str, float]) -> dict[str, float]:
+        """The belief for the next plan, by the newest estimate: mass and friction share the correction."""
+        plan, plans = cycle.plan, self._plans
+        force = believed = box_friction(belief)
+        while plans and plans[0][0] < cycle.time - 0.5 * plan.period:
+            plans.popleft()
+        if plans and plan.reference.pushing and plans[0][0] < cycle.time + 0.5 * plan.period:
+            _, speed, _, before = plans[0]
+            gain = (self.mass + belief["box_mass"]) / self.lead
+            slower = speed - heading_velocity(cycle.estimate.trunk)[0]
+            missing = sum(pushed for *_, pushed, _ in plans) / len(plans) + gain * slower - believed
+            self.wrong = self._posterior(before, missing, gain * self.noise)
+            force = max(believed + self.wrong * missing, 0.2 * believed)
+        row = round(self.lead / plan.period) - 2  # a plan begins one period late, its rows end their periods
+        if (
+            plan.reference.pushing
+            and plan.candidates is not None
+            and plan.step
+            and 1 <= row < len(plan.targets)
+        ):
+            weights = plan.step.weights[: len(plan.candidates)]
+            moved = np.diff(plan.candidates[:, row - 1 : row + 1, TRUNK], axis=1)[:, 0]
+            ahead, left = weights @ moved / (max(weights.sum(), 1e-9) * plan.period)
+            speed = float(cos(cycle.estimate.trunk.yaw) * ahead + sin(cycle.estimate.trunk.yaw) * left)
+            plans.append((cycle.time + self.lead, speed, box_friction(cycle.belief), self.wrong))
+        share = sqrt(force / believed)
+        return {**belief, **{name: belief[name] * share for name in ("box_mass", "floor_friction")}}
+
+    def _posterior(self, before: float, missing: float, sd: float) -> float:
+        """Probability that the belief is wrong, after a missing force [N] with that sd."""
+        prior, either = min(self.rate * self.lead + self.lasting * before, 0.99), sd**2 + self.spread**2
+        odds = log(prior / (1.0 - prior)) + 0.5 * (missing**2 * (sd**-2 - 1.0 / either) - log(either / sd**2))
+        return 1.0 / (1.0 + exp(-min(odds, 50.0)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,9 +269,7 @@ class Helm:
         if touching and commanded == self._speed:  # not while the commanded speed falls
             self._pacing.update(state.time, 1.0 - heading_velocity(state.trunk)[0] / self._speed)
         if touching and speed > 0.0:
-            self._insisting.update(state.time, progress, speed)
-        else:
-            self._insisting.rest()
+            self._insisting.update(state.time, heading_velocity(state.box)[0], speed)
         more = self._insisting.share
         return Reference(
             state.time, (1.0 + more) * speed, origin, heading, box_yaw + limited(missing, s.yaw_limit),
