@@ -440,10 +440,7 @@ def test_a_belief_takes_effect_after_the_latency_and_between_plans(
     first, estimate = news(run)[0]
     assert first == pytest.approx(estimate.time + 0.08 + 0.02)  # the cycle that ends after it
     changed = [b.estimate.time for a, b in pairwise(run) if a.belief != b.belief]
-    touched = min(cycle.time for cycle in run if cycle.plan.reference.pushing)
-    untouched = [time for time in changed if time <= touched]
-    assert set(np.round(untouched, 3)) <= set(np.round([t for t, _ in news(run)], 3))
-    assert len(changed) > len(news(run)), "what plans expected corrects it in between"
+    assert set(np.round(changed, 3)) <= set(np.round([t for t, _ in news(run)], 3))
     assert np.diff([e.time for _, e in news(run)]) == pytest.approx(0.1)
 
 

@@ -371,7 +371,8 @@ def belief_source(
     budget = slow * (mhe.budget or mhe.update_period)
     live = _live(options, system)
     worker = InProcess(factory, budget, slow * PATIENCE) if live else InStep(factory, mhe.latency)
-    return AdaptiveBelief(fixed, Tracker(system, worker), Resistance() if task.pushes else None)
+    reflex = Resistance() if task.pushes and settings_of(system).control.reflex else None
+    return AdaptiveBelief(fixed, Tracker(system, worker), reflex)
 
 
 def estimator_of(options: RunOptions, start: Belief, belief: Belief | None = None) -> MovingHorizon:

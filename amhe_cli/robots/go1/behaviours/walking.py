@@ -169,8 +169,7 @@ class Steering:
 
     Args:
         path_gain: How much the heading turns back to the path, per distance from it [rad/m], up to
-            `path_limit` [rad]; four times as much beyond `astray` [m], or a box that creeps aside under a
-            great force comes to rest beside its goal.
+            `path_limit` [rad].
         ahead: The box is turned to where its path will lead this much later [m].
         offset_gain: How far beside the box's middle to push, per missing turn of the box [m/rad], up to
             `offset_limit` [m].
@@ -184,7 +183,6 @@ class Steering:
 
     path_gain: float = 1.5
     path_limit: float = 0.5
-    astray: float = 0.03
     ahead: float = 0.08
     offset_gain: float = 1.0
     offset_limit: float = 0.12
@@ -255,8 +253,7 @@ class Helm:
         place, s = self._path.place(state.box.position[:2]), self._steering
         origin = self._path.nearest(state.box.position[:2], place)
         progress, box_yaw, commanded = float(place.progress), state.box.yaw, self._commanded(place)
-        astray = float(place.left)
-        back = limited(s.path_gain * (4.0 * astray - 3.0 * limited(astray, s.astray)), s.path_limit)
+        back = limited(s.path_gain * float(place.left), s.path_limit)
         heading = float(place.heading) + self._path.curvature * s.ahead - back
         missing = wrapped(heading - box_yaw)
         offset = -limited(s.offset_gain * missing, s.offset_limit)

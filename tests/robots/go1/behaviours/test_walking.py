@@ -248,11 +248,6 @@ def assert_same_but_turned(before: Reference, after: Reference, yaw: float) -> N
         assert float(wrapped(difference)) == pytest.approx(0.0, abs=1e-9), name
 
 
-@pytest.mark.parametrize(("astray", "back"), [(0.02, 0.03), (-0.03, -0.045), (0.05, 0.165), (0.4, 0.5)])
-def test_a_box_that_strays_far_is_turned_back_harder(astray: float, back: float) -> None:
-    assert helm().reference(along(LINE, 1.0, astray=astray)).heading == pytest.approx(-back)
-
-
 def test_a_box_that_stands_is_pushed_harder_until_it_moves() -> None:
     insisting, shares = Insisting(), []
     for cycle in range(400):
