@@ -9,7 +9,8 @@ from amhe_cli.core.errors import and_more
 
 #: Findings of one kind that are said each, and names that one finding lists.
 _EACH, _NAMED = 3, 6
-
+#: Share of its range by which a joint or its targets may go beyond it: noise and soft stops do.
+BEYOND = 0.1
 
 #: Kind of a doubt, what it is about, the doubt, and its size: a finding is one of a size above 1.
 Doubt = tuple[str, str, str, float]

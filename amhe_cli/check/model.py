@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from amhe_cli.check.findings import Doubt, Finding, worst_first
+from amhe_cli.check.findings import BEYOND, Doubt, Finding, worst_first
 from amhe_cli.core.arrays import FloatArray, IntArray
 
 #: Densities [kg/m^3]: of a body's bounding box filled with lead, and of one that holds next to nothing.
@@ -227,7 +227,7 @@ def _limits(model: mujoco.MjModel, joints: IntArray) -> Iterator[Doubt]:
             reach, span = model.actuator_ctrlrange[row] / gear, max(np.ptp(model.jnt_range[joint]), 1e-6)
             beyond = max(model.jnt_range[joint, 0] - reach[0], reach[1] - model.jnt_range[joint, 1])
             goes = f"its targets go {beyond:.2g} rad beyond the joint's range of {span:.3g}"
-            yield "range", name, goes, _if(beyond > 0.1 * span, float(1.0 + beyond / span))
+            yield "range", name, goes, _if(beyond > BEYOND * span, float(1.0 + beyond / span))
     for joint in joints[model.jnt_limited[joints] > 0]:
         width = float(np.ptp(model.jnt_range[joint]))
         size = _if(width < _UNLIMITED, width / (8.0 * np.pi))

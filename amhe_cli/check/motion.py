@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from amhe_cli.check.findings import Doubt, Finding
+from amhe_cli.check.findings import BEYOND, Doubt, Finding
 from amhe_cli.check.model import touching
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import LogError
@@ -127,7 +127,7 @@ def _doubts(system: System, logs: Sequence[Log], moved: Sequence[JointMotion]) -
     for one in moved:
         if one.high - one.low <= _STILL * one.noise:
             yield "still", one.joint, "it stands still in these logs", 1.0
-        if one.share is not None and one.share > 1.0:
+        if one.share is not None and one.share > 1.0 + BEYOND:
             yield "range", one.joint, f"it moves through {one.share:.2g} times its range", one.share
     for log in logs:
         for key in system.keys:

@@ -35,7 +35,7 @@ from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.offline.watch import OnIteration, Watch
 from amhe_cli.estimation.uncertainty.fit import Finding
 from amhe_cli.matching.motion import velocity_lag
-from amhe_cli.system.parameters.inertia import PSEUDO_NAMES
+from amhe_cli.system.parameters.inertia import inertia_of
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
@@ -166,10 +166,10 @@ def _warn(system: System, problem: Problem) -> None:
         logger.warning(wrong.sentence)
     for reason in dict.fromkeys(problem.idle.values()):
         held = [name for name, why in problem.idle.items() if why == reason]
-        parts = [(name, *name.rpartition(".")[::2]) for name in held]
-        names = [f"numbers of {body}" if last in PSEUDO_NAMES else name for name, body, last in parts]
+        bodies = [(name, inertia_of(name)) for name in held]
+        names = [f"numbers of {body}" if body else name for name, body in bodies]
         names = list(dict.fromkeys(names))  # nobody knows the coordinates of inertias
-        are = "is held at its prior" if len(held) == 1 else "are held at their priors"
+        are = "is held at its prior" if names == held[:1] else "are held at their priors"
         logger.warning(f"{and_more(names, 3)} {are}: {reason}")
 
 

@@ -16,6 +16,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import printable
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.shown import TimeCurve
+from amhe_cli.system.parameters.inertia import inertia_of
 from amhe_cli.view.ghosts import Plotted, Recording, Take, Track, Viewing
 from amhe_cli.view.scene import Scene
 from amhe_cli.web import page as web
@@ -185,7 +186,7 @@ def parameter_rows(
         row: dict[str, Any] = {"name": p.name, "unit": _unit(p.unit), "first": first[p.name], "log": p.log}
         row |= {"low": low, "high": high, "verdict": verdicts.get(p.name, "")}
         row |= dict(zip(("estimate", "lower", "upper"), known.get(p.name, ()), strict=False))
-        rows.append(row | ({"hidden": True} if p.name.rpartition(".")[0] in whole else {}))
+        rows.append(row | ({"hidden": True} if inertia_of(p.name) in whole else {}))
     numbers = ("name", "estimate", "lower", "upper", "verdict")
     return rows + [
         {"unit": _unit(one["unit"]), "first": one["prior"]} | {name: one[name] for name in numbers}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -23,7 +24,7 @@ MODEL = str(ROOT / "models" / "pendulum" / "scene.xml")
 
 @pytest.mark.medium
 def test_the_expected_sds_are_those_of_the_fit() -> None:
-    system = amhe.System.load("pendulum", {"identify": {"profile_points": 0}})
+    system = amhe.System.load("pendulum")
     log = amhe.read_log(LOG, system)
     before = {p.name: p for p in expected(system, [log]).parameters}
     after = amhe.identify(system, log, threads=1)
@@ -129,6 +130,8 @@ def test_a_joint_that_moves_through_more_than_its_range_is_a_doubt() -> None:
     (found,) = log_findings(amhe.System.load("pendulum"), [], [moved])
     assert (found.kind, found.what) == ("range", "it moves through 25 times its range")
     assert "degrees taken for radians" in found.cure
+    at_its_stops = replace(moved, share=1.02)  # by their give, and by noise
+    assert not log_findings(amhe.System.load("pendulum"), [], [at_its_stops])
 
 
 @pytest.mark.medium

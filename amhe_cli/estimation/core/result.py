@@ -11,6 +11,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief import Belief
+from amhe_cli.system.parameters.inertia import inertia_of
 
 #: Verdicts, best first, and what each means to the user.
 VERDICTS: Mapping[str, str] = {
@@ -436,7 +437,7 @@ def with_bodies(
 ) -> tuple[ParameterResult, ...]:
     """Lines with the numbers of bodies in place of the coordinates of their inertias."""
     whole = {number.name.rpartition(".")[0] for number in bodies}
-    return (*(p for p in parameters if p.name.rpartition(".")[0] not in whole), *bodies)
+    return (*(p for p in parameters if inertia_of(p.name) not in whole), *bodies)
 
 
 def known_together(result: Identification) -> list[Combination]:

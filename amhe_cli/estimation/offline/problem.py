@@ -28,7 +28,7 @@ from amhe_cli.estimation.offline.clips import ClipPool, evenly, of_each_kind
 from amhe_cli.matching.cost import MatchingCost, Residuals
 from amhe_cli.matching.starts import first_index
 from amhe_cli.system.parameters.contacts import geom_name, needed_contacts
-from amhe_cli.system.parameters.inertia import PSEUDO_NAMES
+from amhe_cli.system.parameters.inertia import inertia_of
 from amhe_cli.system.system import System
 
 #: A parameter whose step of half a prior sd moves no measurement by this many noise sd is out of reach.
@@ -341,7 +341,7 @@ class Problem:
             parameter = self.system.space.parameters[column]
             name = parameter.name
             reasons[name] = "no measurement in these logs depends on it"
-            if far and name.rpartition(".")[2] not in PSEUDO_NAMES:
+            if far and not inertia_of(name):
                 reasons[name] += (
                     " near its nominal value, but at its bounds one does: give a nominal value of the right "
                     "size, or a wider prior"

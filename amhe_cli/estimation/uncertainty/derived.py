@@ -16,6 +16,7 @@ from amhe_cli.estimation.uncertainty.ledger import Ledger
 from amhe_cli.estimation.uncertainty.verdicts import TOGETHER, verdict_of
 from amhe_cli.matching.efforts import path_of
 from amhe_cli.system.model.elements import dofs_of
+from amhe_cli.system.parameters.inertia import inertia_of
 from amhe_cli.system.system import System
 
 #: Draws of the posterior.
@@ -57,7 +58,7 @@ def body_numbers(
     theta = _model_values(system, np.stack((z, np.zeros(count), *z + _STEP * np.eye(count), *draws)))
     found = []
     for name, numbers in system.edits.inertias(theta):
-        own = [one for one in space.names if one.rpartition(".")[0] == name]
+        own = [one for one in space.names if inertia_of(one) == name]
         for label, (estimate, prior, *values) in numbers.items():
             near, drawn = np.split(np.array(values), [count])
             slope, line = (near - estimate) / _STEP, f"{name}.{label}"

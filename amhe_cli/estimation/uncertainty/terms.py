@@ -17,6 +17,7 @@ from amhe_cli.core.statistics import correlation, positive, root
 from amhe_cli.estimation.core.information import information
 from amhe_cli.estimation.uncertainty.fit import FinalFit, doubled_step
 from amhe_cli.estimation.uncertainty.ledger import Source, Term, term_of
+from amhe_cli.system.parameters.inertia import inertia_of
 
 #: Share of the largest error's sd below which a direction has no error.
 ALONE = 1e-9
@@ -36,7 +37,7 @@ def prior(fit: FinalFit) -> Term:
     if space.prior_systematic is not None:
         precision = positive(precision - precision @ np.array(space.prior_systematic) @ precision)
     bodies = fit.problem.system.edits.bodies
-    sources = tuple(_prior_of(p, p.name.rpartition(".")[0], bodies) for p in space.parameters)
+    sources = tuple(_prior_of(p, inertia_of(p.name), bodies) for p in space.parameters)
     return Term("prior", fit.posterior.inverse @ root(precision), sources)
 
 

@@ -22,6 +22,12 @@ from amhe_cli.core.arrays import FloatArray
 PSEUDO_NAMES = ("alpha", "d1", "d2", "d3", "s12", "s23", "s13", "t1", "t2", "t3")
 
 
+def inertia_of(name: str) -> str:
+    """The `pseudo_inertia` of which a parameter is a coordinate, 'link' of 'link.alpha'; '' of others."""
+    whole, _, last = name.rpartition(".")
+    return whole if last in PSEUDO_NAMES else ""
+
+
 def rotation_matrix(quaternion: FloatArray) -> FloatArray:
     """Rotation matrices (..., 3, 3) of unit quaternions w, x, y, z (..., 4)."""
     turned = rotations.rotate(np.asarray(quaternion, dtype=np.float64)[..., None, :], np.eye(3))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.log import Log
-from amhe_cli.core.parameters import ParameterSpace
+from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.states import touching
 from amhe_cli.estimation.core.information import marginalised, step_within
@@ -166,13 +166,17 @@ def test_table_record_and_page_have_them() -> None:
         identification(),
         bodies=body_numbers(system(), np.zeros(10), noise(1e-4 * np.eye(10)), np.random.default_rng(0), ()),
     )
+    named = replace(result, parameters=tuple(replace(p, name=f"link.{p.name}") for p in result.parameters))
+    assert named.lines == named.parameters + named.bodies, "these are no coordinates of its inertia"
     record = identification_record(result, {})
     assert record["bodies"][0].keys() == record["parameters"][0].keys()
     assert "link.mass" in [row[0] for row in parameter_table(result.lines).rows]
     assert "link.I_xz" in page(result)
-    space = system().space
+    damping = Parameter("link.damping", "N m s", 1.0, 0.1, 10.0, True, 1.0)
+    space = ParameterSpace((*system().space.parameters, damping))
     rows = parameter_rows(space, dict.fromkeys(space.names, 0.0), {}, {}, record["bodies"])
-    shown = [row for row in rows if "hidden" not in row]  # of the view: nobody knows the coordinates
+    own, *shown = [row for row in rows if "hidden" not in row]  # of the view: nobody knows the coordinates
+    assert own["name"] == damping.name, "a joint may be called as its body"
     assert [row["name"] for row in shown] == [one.name for one in result.bodies]
     assert all(row["lower"] <= row["estimate"] <= row["upper"] and "low" not in row for row in shown)
 
