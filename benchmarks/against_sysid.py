@@ -39,8 +39,6 @@ GOAL = 0.5
 #: A search has arrived once its held-out error is within this factor of the better one's last error.
 ARRIVED = 1.05
 THREADS = 2
-#: What amhe reports beyond the estimate has no counterpart here.
-CHEAP = {"identify": {"profile_points": 0}}
 LARGER_STEP = 0.05
 
 
@@ -64,7 +62,7 @@ class Path:
 
 def pendulum() -> Case:
     """A simulated servo that swings a load 40 % heavier than its prior mean, and one more log."""
-    system = System.load("pendulum", CHEAP)
+    system = System.load("pendulum")
     truth = np.array([0.55, 0.03, 0.035, 0.006])
     rng = np.random.default_rng(0)
     logs = [simulated(system, truth, multisine(rng), seconds, rng) for seconds in (15.0, 8.0)]
@@ -76,7 +74,7 @@ def double_pendulum() -> Case | None:
     paths = [DATA / "double_pendulum" / f"trajectory_{run}.csv" for run in ("143339", "143601", "143524")]
     if not all(path.exists() for path in paths):
         return None
-    system = System.load(PROJECT / "examples" / "systems" / "double_pendulum", CHEAP)
+    system = System.load(PROJECT / "examples" / "systems" / "double_pendulum")
     logs = [read_signals(p, system.signals, system.model.opt.timestep, system.settings.logs) for p in paths]
     return Case(system, logs[:2], logs[2:])
 
@@ -86,7 +84,7 @@ def cube_toss() -> Case | None:
     paths = sorted((DATA / "cube_tosses").glob("toss_*.mcap"))
     if not paths:
         return None
-    system = System.load("cube_toss", CHEAP)
+    system = System.load("cube_toss")
     logs = [read_signals(p, system.signals, system.model.opt.timestep, system.settings.logs) for p in paths]
     return Case(system, logs[:40], logs[40:])
 

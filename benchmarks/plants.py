@@ -20,7 +20,6 @@ from amhe_cli.core.settings import AssumedSettings
 #: Settings of all problems: short clips, and no more searching than a small problem needs.
 SMALL = {
     "clips": {"length": [0.4, 1.0], "count": 12},
-    "identify": {"profile_points": 0},
 }
 #: Sd of the priors, and the share of it by which plants differ from the nominal; both of logarithms.
 PRIOR, SPREAD = 0.7, 0.5
@@ -45,7 +44,7 @@ class Case:
     def told(self, **identify: Any) -> Case:
         """The same for a user who says more in `settings: identify:`."""
         assert self.made is not None, "the problem says how its system is made"
-        return replace(self, system=self.made(SMALL | {"identify": SMALL["identify"] | identify}))
+        return replace(self, system=self.made(SMALL | {"identify": identify}))
 
     def exact(self) -> Case:
         """The same for a user who has measured what the model takes as exact."""

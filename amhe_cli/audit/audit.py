@@ -120,7 +120,7 @@ def audit(
         LogError: A log cannot be read.
         EstimationError: No clip of the logs can be used.
     """
-    settings = merged({"identify": {"profile_points": 0}}, merged(proposal.settings, settings or {}))
+    settings = merged(proposal.settings, settings or {})
     claims = claims_of(proposal, _assumed(settings))
     if not claims:
         raise ConfigError("the model says no number of a joint that the log measures")
@@ -239,7 +239,7 @@ def _judgement(
 def _assumed(settings: Mapping[str, Any]) -> AssumedSettings:
     """What data sheets are worth by some settings; what is wrong with these the first system says."""
     try:
-        return AssumedSettings.model_validate(settings["identify"].get("assumed", {}))
+        return AssumedSettings.model_validate(settings.get("identify", {}).get("assumed", {}))
     except (AttributeError, ValueError):
         return AssumedSettings()
 

@@ -170,7 +170,7 @@ class IdentifySettings(SettingsGroup):
     @model_validator(mode="before")
     @classmethod
     def _without_former(cls, given: Any) -> Any:
-        """What drew cost profiles means nothing any more, and does no harm."""
+        """Files and result folders of former versions may set `profile_points`, which is ignored."""
         return {k: v for k, v in given.items() if k != "profile_points"} if isinstance(given, dict) else given
 
 

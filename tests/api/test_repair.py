@@ -28,7 +28,7 @@ parameters:
 signals:
   joints: {topic: log, joints: [hinge], columns: {position: hinge}, noise: {position: 0.0005}}
   command: {topic: log, actuators: [servo], quantity: position, columns: {position: target}}
-settings: {clips: {length: [0.4, 0.8], count: 8}, identify: {profile_points: 0}}
+settings: {clips: {length: [0.4, 0.8], count: 8}}
 """
 SPRING = "  k: {nominal: 0.5, scale: log, prior_sd: 1, targets: [{joint: hinge, set: stiffness}]}\n" + (
     "  rest: {nominal: 0.05, bounds: [-1, 1], prior_sd: 0.2, targets: [{joint: hinge, set: spring_rest}]}\n"

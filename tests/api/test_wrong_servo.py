@@ -52,7 +52,6 @@ def test_a_load_is_not_identified_by_a_gain_or_a_limit_that_is_wrong(gain: float
             "joints": {"joints": ["hinge"], "noise": {"position": 0.003}},
             "command": {"actuators": ["servo"], "quantity": "position"},
         },
-        settings={"identify": {"profile_points": 0}},
         warn=False,
     )
     arrays = {
