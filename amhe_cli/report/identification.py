@@ -215,7 +215,7 @@ def print_identification(
 
 
 def _print_parameters(result: Identification, console: Console) -> None:
-    """Print the table; a narrow terminal gets fewer columns, never cut names or numbers, and is told so.
+    """Print the table; a narrow terminal gets fewer columns, never cut names or numbers, and a line says so.
 
     Of many parameters, those that the logs hardly narrow down have one line.
     """

@@ -24,7 +24,7 @@ from amhe_cli.report.identification_page import headline, statements
 from amhe_cli.report.page import Section
 from amhe_cli.report.tables import NUMBER, STRONG, Table
 from amhe_cli.system.system import System
-from amhe_cli.web.page import template
+from amhe_cli.web.page import said, template
 from amhe_cli.web.plots import Curve, Panel, color_of, figure, shown_unit
 
 #: Panels of a log's figure; the table has all series.
@@ -62,7 +62,7 @@ def html_table(table: Table) -> Markup:
 
 def result_html(found: Identification) -> str:
     """What was identified, as a table and sentences in the colours of the text around them."""
-    told = Markup("").join([Markup("<li>{}</li>").format(one.text) for one in statements(found)])
+    told = Markup("").join([Markup("<li>{}</li>").format(said(one.text)) for one in statements(found)])
     table = html_table(parameter_table(found.lines))
     return str(Markup("<p><b>{}</b></p>{}<ul>{}</ul>").format(headline(found), table, told))
 

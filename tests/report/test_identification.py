@@ -515,6 +515,6 @@ def test_a_dollar_in_a_name_is_a_dollar_and_no_formula() -> None:
 def test_a_link_opens_its_part(html: str, tab: Browser, tmp_path: Path) -> None:
     (tmp_path / "page.html").write_text(html, encoding="utf-8")
     tab.open((tmp_path / "page.html").as_uri())
-    tab.run("location.hash = '#convergence'")
-    opened = "document.getElementById('convergence').open"
+    tab.run("location.hash = '#data'")
+    opened = "document.getElementById('data').open"
     assert tab.run(f"new Promise((done) => setTimeout(() => done({opened}), 100))")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -139,7 +140,7 @@ def stepped(system: System, z: FloatArray, fit: FloatArray) -> FloatArray:
     return space.clip(space.z_of(np.where(space.log, np.clip(moved, 0.5 * theta, 2.0 * theta), moved)))
 
 
-def models_of(system: System, logs: Sequence[Log], theta: FloatArray):  # type: ignore[no-untyped-def]
+def models_of(system: System, logs: Sequence[Log], theta: FloatArray) -> list[Any]:
     """The model of each log, with its own values."""
     values = [values_on(log, system.edits.space, system.space, theta[None])[0] for log in logs]
     return [system.edits.apply(system.model, each) for each in values]

@@ -181,11 +181,8 @@ class Plant:
         self._pose_every = max(1, round(noise.pose_period / model.opt.timestep))
         self._uniform_inertia = self._inertia_per_mass()
         self._data.qpos[:] = home(model) if start is None else start
-        self._beside, self._shape, self._friction = (
-            dict(beside or {}),
-            shape,
-            np.array(model.dof_frictionloss[self._at.joints_v]),
-        )
+        self._beside, self._shape = dict(beside or {}), shape
+        self._friction = np.array(model.dof_frictionloss[self._at.joints_v])
         self._waiting: deque[tuple[float, FloatArray]] = deque()
         self._data.ctrl[self._at.servos] = self._data.qpos[self._at.joints]
         mujoco.mj_forward(model, self._data)
