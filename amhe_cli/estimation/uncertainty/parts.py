@@ -171,7 +171,7 @@ def _halves(joint: FinalFit, refitted: bool) -> Parts:
         for _ in range(REFITS - part.non_smooth):  # whose fit is a step of the search, too
             state = search.advance(part, state)
         fit = final_fit(part, state)
-        away = state.z - finding.z
+        away = fit.z - finding.z  # a search that has settled ends with a step of the fit
         alone = posterior(away, fit.information, fit.weight, fit.posterior.prior)
         halves[name] = replace(alone, step=away + alone.step)
     return halves

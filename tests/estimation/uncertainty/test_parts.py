@@ -16,6 +16,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.core.statistics import among
 from amhe_cli.estimation.core.information import marginalised
+from amhe_cli.estimation.uncertainty import parts as module
 from amhe_cli.estimation.uncertainty.fit import posterior
 from amhe_cli.estimation.uncertainty.ledger import Source, Term
 from amhe_cli.estimation.uncertainty.parts import HALVES, MANY, names_of, parts, report_drift
@@ -271,3 +272,30 @@ def test_runs_are_told_apart_in_the_result(tmp_path: Path, monkeypatch: pytest.M
     table = _run_table(result.found)
     assert table.head[1:-2] == ("run1.mcap", "run2.mcap", "run3.mcap")
     assert result.record()["runs"][0]["log"] == "run1.mcap"
+
+
+def test_a_half_stands_where_its_fit_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Behind contacts the fit of a search that has settled is one more step, and its end counts."""
+    prior, weight, slope = np.zeros((1, 1)), np.ones(1), np.ones((1, 1, 1))
+    nothing = np.zeros((1, 0, 1)), np.zeros((1, 0))
+
+    def fitted(part: Any, state: Any) -> Any:
+        """A linear log that wants 2, seen from 1.5."""
+        told = marginalised(np.full((1, 1), 1.5 - 2.0), slope, nothing[0], np.ones((1, 1)), nothing[1])
+        return SimpleNamespace(
+            z=np.array([1.5]), information=told, weight=weight,
+            posterior=posterior(np.zeros(1), told, weight, prior),
+        )  # fmt: skip
+
+    state = SimpleNamespace(z=np.ones(1))
+    monkeypatch.setattr(module, "final_fit", fitted)
+    monkeypatch.setattr(module, "_second_half", lambda _: np.arange(8) >= 4)
+    monkeypatch.setattr(module.search, "restart", lambda *_: state)
+    monkeypatch.setattr(module.search, "advance", lambda *_: state)
+    first = SimpleNamespace(of=lambda _: SimpleNamespace(forgotten=None))
+    joint: Any = SimpleNamespace(
+        problem=SimpleNamespace(part=lambda _: SimpleNamespace(non_smooth=True)),
+        finding=SimpleNamespace(z=np.array([0.5])), slopes=SimpleNamespace(first=first),
+    )  # fmt: skip
+    for half in module._halves(joint, refitted=True).values():
+        assert half.step == pytest.approx([1.5]), "from 0.5 to 2"
