@@ -95,14 +95,13 @@ class Explanation:
         at[rows] = ((self.sheets.file - space.phi_of(space.nominal)) / space.prior_sd)[rows]
         near = replace(self.search, finding=replace(self.search.finding, z=space.clip(at), straight=False))
         free = frozenset(self.sheets.groups) - believed
-        other = Explanation(looked(free, near), free, self.claims)
+        other = Explanation(_ended(looked(free, near)), free, self.claims)
         other = replace(other, likely=other.against(self, least=True))
         if other.hopeless:
             return other
         few = next(iter(wrong_sheets(other.evidence, other.sheets, right=believed)))
-        other = Explanation(
-            *without_suspects(searched, self.claims, few, other.search, believed), self.claims
-        )
+        search, wrong = without_suspects(searched, self.claims, few, other.search, believed)
+        other = Explanation(_ended(search), wrong, self.claims)
         return replace(other, likely=other.against(self))
 
 
@@ -117,6 +116,17 @@ def _misfit(fit: FinalFit, theta: FloatArray, few: Problem | None) -> float:
     shape = (fit.space.prior_sd / space.prior_sd)[:, None] * shape
     each = scored(problem, cost, space.z_of(theta), shape).misfit(fit.times)
     return float(np.where(weight > 0.0, each, 0.0) @ weight)
+
+
+def _ended(search: Search) -> Search:
+    """A search that was not interrupted; what interrupts one interrupts the audit.
+
+    Raises:
+        KeyboardInterrupt: It was.
+    """
+    if search.watch.interrupted:
+        raise KeyboardInterrupt
+    return search
 
 
 def without_suspects(
@@ -150,9 +160,7 @@ def without_suspects(
             new = likely - wrong
             if likely not in tried:
                 tried.add(likely)
-                other = searched(likely, begin)
-                if other.watch.interrupted:
-                    raise KeyboardInterrupt
+                other = _ended(searched(likely, begin))
                 if _cost(other) <= (1.0 + _RISES) * _cost(search):
                     search, wrong, refused, aside = other, likely, frozenset(), frozenset()
                     continue

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +15,7 @@ import pytest
 from amhe_cli.audit import audit as module
 from amhe_cli.audit import suspects
 from amhe_cli.audit.audit import audit
+from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.engine.inverse import forces_along
 from amhe_cli.estimation.identification import IdentifyOptions
@@ -171,6 +173,35 @@ def test_an_interruption_before_the_second_search_begins_keeps_the_first(
     proposal: Any = SimpleNamespace(settings={}, match="motion")
     found: Any = module.audit(proposal, "arm", lambda _: [], IdentifyOptions()).found
     assert found is first and first.watch.interrupted
+
+
+@dataclass
+class Found:
+    z: FloatArray
+    straight: bool = True
+
+
+@dataclass
+class Searching:
+    finding: Found
+    problem: Any
+    watch: Any
+
+
+def test_an_interruption_of_a_second_explanation_ends_the_audit() -> None:
+    """A search ends with what it has; the audit must not go on to the next number."""
+    space = SimpleNamespace(
+        phi_of=np.asarray, nominal=np.zeros(1), prior_sd=np.ones(1), clip=np.asarray, names=("mass",)
+    )
+    problem = SimpleNamespace(system=SimpleNamespace(space=space))
+
+    def searching(interrupted: bool) -> Any:
+        return Searching(Found(np.zeros(1)), problem, SimpleNamespace(interrupted=interrupted))
+
+    first = suspects.Explanation(searching(False), frozenset(), [])
+    first.__dict__["sheets"] = SimpleNamespace(groups={("arm", "mass"): [0]}, file=np.zeros(1))
+    with pytest.raises(KeyboardInterrupt):
+        first.rival(lambda *_: searching(False), lambda *_: searching(True), ("arm", "mass"))
 
 
 @pytest.mark.parametrize("given", [0, {"gain": 0.0}])

@@ -219,7 +219,7 @@ class Iteration:
     sigma: float  # mean sampling sd, in prior sd
     rollouts: int
     diverged: int
-    theta: tuple[float, ...]
+    theta: tuple[float, ...]  # of what was searched: with values of logs' own, not of their means
     stage: str = ""  # 'explore' or 'polish' of the linearised search; 'conclusion' of a part of that
 
     def told(self, total: int) -> str:
