@@ -50,13 +50,12 @@ def main() -> None:
 
 
 def _results(study: Path) -> list[CellResult]:
-    """Those of a study, packed ones too."""
+    """Those of a study, packed ones too, but for those that were run again."""
     with TemporaryDirectory() as scratch:
         if (packed := study / "cells.zip").is_file():
             ZipFile(packed).extractall(scratch)
-        return [
-            read_result(f) for part in (Path(scratch), study / "cells") for f in sorted(part.glob("*.json"))
-        ]
+        files = {f.name: f for part in (Path(scratch), study / "cells") for f in part.glob("*.json")}
+        return [read_result(files[name]) for name in sorted(files)]
 
 
 def _phases(results: list[CellResult]):
