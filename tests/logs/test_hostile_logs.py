@@ -26,6 +26,7 @@ from amhe_cli.core.errors import AmheError, LogError
 from amhe_cli.core.limits import limit
 from amhe_cli.logs import Survey, survey
 from amhe_cli.logs.containers.folder import open_log
+from amhe_cli.logs.containers.raw import Unfolder
 from tests.logs.log_makers import ROS2, motion, write_rosbag2
 from tests.logs.test_tables import dataset
 
@@ -98,6 +99,11 @@ def test_a_chunk_of_zeros(kind: str, tmp_path: Path) -> None:
         assert "beyond the limit growth = 100" in refused(
             mcap_of(tmp_path / "log", *[(kind, 24 * 2**20, within)] * 2)
         )
+
+
+def test_a_frame_says_its_size_before_it_takes_memory() -> None:
+    with pytest.raises(ValueError, match="a zstd frame of 67108864 bytes where at most 1000 are allowed"):
+        Unfolder(0).unfold("zstd", zeros("zstd", 64), 1000)
 
 
 @pytest.mark.medium

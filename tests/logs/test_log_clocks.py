@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.resample import angular_velocity, derivative, resample
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
-from amhe_cli.logs import read_signals, survey
+from amhe_cli.logs import clocks, read_signals, survey
 from amhe_cli.logs.clocks import increasing, timeline
 from amhe_cli.logs.messages.decode import SignalSamples
 from tests.logs.log_makers import DT, JS, ROS2, SETTINGS, T0, Message, joint_state, write_mcap
@@ -331,6 +332,16 @@ def test_too_few_samples_have_no_velocity() -> None:
     assert np.isnan(derivative(np.array([0.0, 0.1]), np.ones((2, 1)), 1.0)).all()
     lonely = derivative(np.array([0.0, 5.0, 5.1, 5.2, 9.0]), np.zeros((5, 1)), 1.0)
     np.testing.assert_array_equal(np.isnan(lonely[:, 0]), [True, False, False, False, True])
+
+
+def test_one_stamp_out_of_order_is_looked_for_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not among all stamps of the log, in Python."""
+    looked = Mock(wraps=clocks._longest_run)
+    monkeypatch.setattr(clocks, "_longest_run", looked)
+    stamps = 10 * np.arange(1000)
+    stamps[500] += 25
+    assert np.flatnonzero(~increasing(stamps)).tolist() == [500]
+    assert all(len(call.args[0]) < 5 for call in looked.call_args_list)
 
 
 def test_the_clock_that_is_off_is_the_one_that_is_named() -> None:

@@ -7,10 +7,12 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from itertools import count
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
+from amhe_cli.cli.main import run
 from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.robots.go1.behaviours.gait import Gait, walk
 from amhe_cli.robots.go1.emulator import (
@@ -298,6 +300,18 @@ def test_the_vendors_own_client_stands_the_robot_up_through_it() -> None:
         assert emulator.body.state.trunk.position[2] > 0.24
         np.testing.assert_allclose(joints, HOME, atol=0.12)
         assert emulator.counts[1] == 0
+
+
+def test_the_command_emulates_the_box_that_was_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever its name, where its marker sits and how fast: the settings of `amhe run` suit both."""
+    emulator = Mock(side_effect=AmheError("seen"))
+    monkeypatch.setattr("amhe_cli.robots.go1.emulator.Emulator", emulator)
+    given = ("boxes.box=[0.6,0.5,0.4]", "go1.box=crate", "go1.box_offset=[0,0,-0.2,0,0,0]", "go1.slow=2")
+    assert run(["emulate", *(word for one in given for word in ("--set", one))]) != 0
+    (seen,) = emulator.call_args.args
+    assert seen.task.box.size == pytest.approx((0.6, 0.5, 0.4))
+    assert seen.task.box.position == pytest.approx((0.75, 0.0)), "its near face is that of the task's box"
+    assert (seen.bodies[1], tuple(seen.offsets[1]), seen.slow) == ("crate", (0, 0, -0.2, 0, 0, 0), 2.0)
 
 
 @pytest.mark.medium

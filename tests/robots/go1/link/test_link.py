@@ -28,7 +28,7 @@ from amhe_cli.robots.go1.link.machine import Machine
 from amhe_cli.robots.go1.link.mail import Inbox, Phase, StoppedError, Targets
 from amhe_cli.robots.go1.link.packets import SERVO, LinkError, decode_state, encode_state, pressing
 from amhe_cli.robots.go1.link.process import SENDER, Child, Clock, Pipe, take_priority, ticks_ahead
-from amhe_cli.robots.go1.link.sender import RobotSocket, Share, connected
+from amhe_cli.robots.go1.link.sender import RobotSocket, Sender, Share, connected
 from amhe_cli.robots.go1.settings import Go1Settings
 from tests.robots.go1.stand_ins import FOLDED, Puppet, a_state, damps, repeating, udp
 
@@ -150,6 +150,7 @@ def test_nothing_but_idle_packets_before_the_order_to_stand(puppet: Puppet) -> N
         ("remote", "remote"),
         ("silence", "state_lost"),
         ("replay", "state_lost"),
+        pytest.param("crc", "damaged", marks=pytest.mark.slow),
     ],
 )
 def test_a_fault_of_the_robot_damps_the_motors(puppet: Puppet, fault: str, trip: str) -> None:
@@ -160,6 +161,8 @@ def test_a_fault_of_the_robot_damps_the_motors(puppet: Puppet, fault: str, trip:
         elif fault == "replay":  # two old states by turns: a clock that goes to and fro
             old = [encode_state(a_state(tick=tick, joints=FOLDED)) for tick in (1, 3)]
             puppet.mangle = lambda packet: old[decode_state(packet).tick % 2]
+        elif fault == "crc":
+            puppet.mangle = lambda packet: packet[:-1] + bytes([packet[-1] ^ 1])
         else:
             puppet.change = lambda sent: replace(sent, remote=pressing("L2", "B"))
         puppet.wait(damps)
@@ -231,6 +234,13 @@ def test_a_sender_that_is_to_be_suspended_or_to_quit_damps_instead(
         puppet.wait(damps)
     assert link.report.reason == reason
     assert type(link.report.stop) is stop
+
+
+@pytest.mark.parametrize("number", [signal.SIGTTIN, signal.SIGTTOU])
+def test_no_other_signal_of_a_terminal_suspends_a_sender(number: signal.Signals) -> None:
+    sender = Sender(QUICK, None, Mock(), CLOCK, -1, -1, False)  # type: ignore[arg-type]
+    sender.stop_on(number)
+    assert sender._inbox.stop == f"{number.name} would suspend the sender"
 
 
 @pytest.mark.medium

@@ -160,7 +160,9 @@ def test_rubbish_is_no_pose(message: bytes) -> None:
 @pytest.mark.parametrize(
     "message", ['{"body": "a", "position": [1, 2], "orientation": [1, 0, 0, 0]}',
              '{"body": "a", "position": [1, 2, NaN], "orientation": [1, 0, 0, 0]}',
-             '{"body": "a", "position": [1, 2, 3], "orientation": [0, 0, 0, 0]}', "[]", '"x"', "7"],
+             '{"body": "a", "position": [1, 2, 3], "orientation": [0, 0, 0, 0]}',
+             f'{{"body": "a", "time": 1{"0" * 400}, "position": [1, 2, 3], "orientation": [1, 0, 0, 0]}}',
+             "[]", '"x"', "7"],
 )  # fmt: skip
 def test_what_is_no_pose_is_left_out(message: str) -> None:
     assert read_pose(message.encode()) is None
