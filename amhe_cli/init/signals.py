@@ -135,11 +135,13 @@ def notes_on(
     ]
     used = {guess.entry["topic"] for guess in guesses}
     notes += _proposals(model, [topic for topic in topics if topic.name not in used], guesses)
-    notes += [
-        f"not used: {', '.join(topic.rivals)}: other columns were taken in their place"
-        for topic in topics
-        if topic.name in used and topic.rivals
-    ]
+    for guess in guesses:
+        topic = next(topic for topic in topics if topic.name == guess.entry["topic"])
+        taken = guess.entry.get("quantity", topic.quantities[0])
+        spare = [name for q, names in topic.columns.items() if q != taken for name in names]
+        left = [*topic.rivals, *(spare if "actuators" in guess.entry else ())]
+        if left:
+            notes.append(f"not used: {', '.join(left)}: other columns were taken in their place")
     return notes + [f"not used: {_named(topic)}" for topic in topics if topic.name not in used]
 
 

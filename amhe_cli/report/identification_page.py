@@ -104,7 +104,8 @@ def identification_page(
         title=named if result.system == "system" else result.system,  # that of `identify --model` has no name
         facts=(
             f"{logs} log{'s' * (logs != 1)} fitted",
-            f"{clips.fitted} clips fitted, {clips.held_out} held out{' of a first fit' * clips.refitted}",
+            f"{clips.fitted} clip{'s' * (clips.fitted != 1)} fitted, "
+            f"{clips.held_out} held out{' of a first fit' * clips.refitted}",
             f"{result.rollouts:,} rollouts in {record['seconds']:.1f} s",
         ),
         headline=headline(result),
@@ -178,11 +179,11 @@ def _verdicts(parameters: Sequence[ParameterResult]) -> Iterator[Statement]:
     given: dict[str, list[str]] = {}
     for p in parameters:
         if p.verdict == "conditional":
-            given.setdefault(f"{p.given}{',' * (', ' in p.given)}", []).append(p.name)
+            given.setdefault(p.given, []).append(p.name)
     if len(given) > _GIVEN:
         given = {"what the table names with each": [name for names in given.values() for name in names]}
     for what, names in given.items():
-        yield Statement("mixed", f"{numbers.some(names)}: determined by the logs if {what} is right.")
+        yield Statement("mixed", f"{numbers.some(names)}: determined by the logs, given {what}.")
     for verdict, tone in _TONES.items():
         names = [p.name for p in parameters if p.verdict == verdict]
         if names:
@@ -343,7 +344,8 @@ def _data_section(result: Identification) -> Section:
         if count
     ]
     held = f" and {clips.held_out} held out" + " of a first fit" * clips.refitted
-    parts = [f"{clips.fitted_of} were fitted" + held * (clips.held_out > 0)]
+    were = "was" if clips.fitted == 1 else "were"
+    parts = [f"{clips.fitted_of} {were} fitted" + held * (clips.held_out > 0)]
     parts += [f"{numbers.joined(dropped)} were dropped"] if dropped else []
     parts += [f"{result.diverged:,} of {result.rollouts:,} rollouts diverged"] if result.diverged else []
     text = "".join(f"{part}. " for part in parts)

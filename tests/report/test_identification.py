@@ -413,7 +413,7 @@ def test_the_first_overlay_is_of_the_clip_that_was_missed_most(html: str) -> Non
 
 def test_words_name_every_verdict_that_is_not_identified() -> None:
     text = stated(identification())
-    assert "damping: determined by the logs if the gain of servo, 4, is right" in text
+    assert "damping: determined by the logs, given the gain of servo, 4." in text
     assert "friction_loss: the logs narrow it down: use" in text
     assert "armature: the logs hardly narrow it down: the value is your prior" in text
     assert "Misfit 3.6 times the noise (arm.velocity 3.6 and arm.position 1): about 1" in text

@@ -277,7 +277,8 @@ class ClipCount:
     @property
     def fitted_of(self) -> str:
         """How many clips were fitted, in words: '24 clips', '144 of 1174 clips'."""
-        return f"{self.fitted}{f' of {self.fitted + self.thinned}' * (self.thinned > 0)} clips"
+        count = self.fitted + self.thinned
+        return f"{f'{self.fitted} of ' * (self.thinned > 0)}{count} clip{'s' * (count != 1)}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -166,6 +166,9 @@ def _reasons(space: ParameterSpace, evidence: Evidence, i: int) -> list[Reason]:
 def _rests(space: ParameterSpace, i: int, variance: float, source: Source) -> str:
     """'given the force limit of servo, 0.77: known to 20 %, that leaves 20 % open'."""
     step = float(np.sqrt(variance))
+    if source.parameter == space.names[i]:
+        known = f": {source.value}, known to {source.times()}" if source.value else ""
+        return f"your own prior counts{known}"
     acts = "" if source.acts is None else f", which acts in {100.0 * source.acts:.2g} % of the steps"
     width = f"known to {source.times()}, that" if source.times() else "that"
     verb = "the logs speak against" if source.doubted else "given"
