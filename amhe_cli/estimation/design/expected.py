@@ -121,7 +121,8 @@ def expected(system: System, logs: Sequence[Log], *, threads: int = 1, seed: int
 def _near(problem: Problem) -> search.SearchState:
     """A search that ends near the estimate: its first steps by few of the clips, the last by all of them."""
     rough = replace(problem, only=tuple(evenly(problem.clips, FEWEST // 2)))
-    state = search.restart(rough, np.zeros(len(problem.system.space)))
+    # where nothing touches, short steps to one side suffice to come near: half of the rollouts
+    state = replace(search.restart(rough, np.zeros(len(problem.system.space))), straight=not problem.touches)
     while problem.active.any() and not state.done and state.number < search.ROUGHLY:
         state = search.advance(rough, state)
     state, before = replace(state, stage="polish", first=None), np.inf

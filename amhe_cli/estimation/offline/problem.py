@@ -224,7 +224,7 @@ class Problem:
     def _some_clips(self) -> Sequence[Window]:
         """Clips that show what moves what: some from everywhere, and some of each kind of log."""
         clips = self._all_clips
-        return list(dict.fromkeys([*clips[:: max(1, len(clips) // 8)], *of_each_kind(clips, FEW)]))
+        return list(dict.fromkeys([*evenly(clips, 8), *of_each_kind(clips, FEW)]))
 
     @cached_property
     def _moved(self) -> tuple[dict[str, BoolArray], BoolArray]:
