@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import json
 import os
+import select
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -33,6 +34,8 @@ PIXELS = """(() => {
 })()"""
 
 
+#: Time without an answer after which a test fails [s].
+_PATIENCE = 120.0
 #: A taller picture repeats its beginning [px].
 _TALLEST = 8000
 
@@ -59,6 +62,8 @@ class Chromium:
 
     def _message(self) -> bytes:
         while (end := self._unread.find(b"\0")) < 0:
+            # a script may await what never comes
+            assert select.select([self._back], [], [], _PATIENCE)[0], f"no answer within {_PATIENCE:.0f} s"
             more = self._back.read(2**20)  # what there is; a picture has megabytes
             assert more, "Chromium has ended"
             self._unread += more
