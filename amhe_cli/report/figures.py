@@ -12,8 +12,6 @@ from amhe_cli.estimation.core.result import Fit, Identification, MissingRow, Par
 from amhe_cli.report import numbers
 from amhe_cli.web.plots import Curve, Mark, Panel, evenly, figure, shown_unit
 
-#: Of more parameters than this, those that rest on the prior have no lines of their own.
-MANY = 24
 #: Panels of one clip; if there are more columns, those that move most are shown.
 MAX_PANELS = 9
 #: Inputs that are drawn below a clip.

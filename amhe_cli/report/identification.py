@@ -26,7 +26,6 @@ from amhe_cli.estimation.core.result import (
     known_together,
 )
 from amhe_cli.report import numbers
-from amhe_cli.report.figures import MANY
 from amhe_cli.report.folder import results
 from amhe_cli.report.held_out import error_rows
 from amhe_cli.report.identification_page import (
@@ -39,6 +38,7 @@ from amhe_cli.report.identification_page import (
     next_steps,
 )
 from amhe_cli.report.missing import missing_record, print_missing, print_repairs, repairs_record
+from amhe_cli.report.parameters import parted
 from amhe_cli.report.tables import NUMBER, Table, rich_table
 from amhe_cli.system.description.folders import FILE_NAME
 from amhe_cli.system.export.mjcf import identified_assets, identified_xml
@@ -219,9 +219,7 @@ def _print_parameters(result: Identification, console: Console) -> None:
 
     Of many parameters, those that the logs hardly narrow down have one line.
     """
-    rows = result.lines
-    apart = [p.name for p in rows if p.verdict == "prior"] if len(rows) > MANY else []
-    rows = [p for p in rows if p.name not in apart]
+    rows, apart = parted(result.lines)
     for given, left_out in _NARROWER:
         table = rich_table(parameter_table(rows, given=given).without(*left_out), STYLES)
         width = console.measure(table, options=console.options.update(width=1000)).maximum
@@ -230,7 +228,9 @@ def _print_parameters(result: Identification, console: Console) -> None:
     console.width = max(width, console.width)
     console.print(table)
     if apart:
-        console.print(f"{len(apart)} more that the logs hardly narrow down: {numbers.some(apart)}")
+        console.print(
+            f"{len(apart)} more that the logs hardly narrow down: {numbers.some([p.name for p in apart])}"
+        )
     if left_out:
         console.print(f"left out here, as the terminal is narrow: {numbers.joined(left_out)}", style="dim")
 

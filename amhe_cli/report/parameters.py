@@ -18,6 +18,8 @@ from amhe_cli.report.tables import NUMBER, STRONG, VERDICT, Table
 
 #: Half-width of the strip that shows prior and posterior side by side, in prior sd.
 STRIP = 2.5
+#: Of more parameters than this, those that rest on their priors stand apart.
+_LINES = 24
 #: Colour of each kind of term of the ledger.
 _HUES = "after", "prior", "violet", "red", "mixed", "teal", "brown", "amber", "measured", "green"
 _COLORS = dict(zip(KINDS, _HUES, strict=True))
@@ -37,11 +39,10 @@ def parameter_sections(result: Identification, truth: Mapping[str, float]) -> It
         Markup("{} {}.").format(cell("verdict", name), text) for name, text in VERDICTS.items()
     )
     log = dict(zip((p.name for p in result.parameters), result.belief.log, strict=True))
-    rows = [(p, log.get(p.name, False)) for p in result.lines]
-    apart = [row for row in rows if row[0].verdict == "prior"] if len(rows) > figures.MANY else []
+    rows, apart = ([(p, log.get(p.name, False)) for p in some] for some in parted(result.lines))
     yield Section(
         "Parameters",
-        table=_parameter_table([row for row in rows if row not in apart], truth, common),
+        table=_parameter_table(rows, truth, common),
         items=[f"{place}: {one.text}: {', '.join(one.owners)}" for place, one in enumerate(common, 1)],
         note=meanings
         + " Shrinkage is how much narrower the posterior is than the prior; at 0 % the logs added nothing.",
@@ -49,6 +50,17 @@ def parameter_sections(result: Identification, truth: Mapping[str, float]) -> It
     if apart:
         title = f"{len(apart)} parameters that the logs hardly narrow down"
         yield Section(title, table=_parameter_table(apart, truth, common), folded=True)
+
+
+def parted(
+    parameters: Sequence[ParameterResult],
+) -> tuple[list[ParameterResult], list[ParameterResult]]:
+    """Parameters with a line of their own and, of many, apart from them those that rest on their priors."""
+    many = len(parameters) > _LINES
+    found: tuple[list[ParameterResult], list[ParameterResult]] = [], []
+    for p in parameters:
+        found[many and p.verdict == "prior"].append(p)
+    return found
 
 
 def _parameter_table(

@@ -15,6 +15,7 @@ from rich.console import Console
 
 from amhe_cli.core.files import plain
 from amhe_cli.estimation.core.result import (
+    VERDICTS,
     ClipCount,
     HeldOut,
     HorizonError,
@@ -33,6 +34,7 @@ from amhe_cli.report.identification import (
     write_identification,
 )
 from amhe_cli.report.identification_page import ALONE, Beside, identification_page, next_steps, statements
+from amhe_cli.report.parameters import parted
 from amhe_cli.system.system import System
 from tests.report.synthetic import fit, identification, parameter
 from tests.view.browser import Browser
@@ -518,3 +520,11 @@ def test_a_link_opens_its_part(html: str, tab: Browser, tmp_path: Path) -> None:
     tab.run("location.hash = '#data'")
     opened = "document.getElementById('data').open"
     assert tab.run(f"new Promise((done) => setTimeout(() => done({opened}), 100))")
+
+
+def test_of_many_parameters_those_that_rest_on_their_priors_stand_apart() -> None:
+    one, *_ = identification().parameters
+    few = [replace(one, name=f"{verdict}{i}", verdict=verdict) for i in range(8) for verdict in VERDICTS]
+    assert parted(few[:20]) == (few[:20], [])
+    shown, apart = parted(few)
+    assert {p.verdict for p in apart} == {"prior"} and len(apart) == 8 and len(shown) == 32
