@@ -48,7 +48,7 @@ CORRELATED = 0.6
 #: What residuals over noise mean.
 THUMB = "about 1 is good; from 2 on, look at what is left; from 5 on, the model is wrong"
 
-#: What is said of a short log.
+#: The note on a short log.
 _REFITTED = "The log is short: held-out clips judged a fit without them, and the values here fit them too."
 #: Combinations that are named outside their own table.
 MAX_COMBINATIONS = 3
