@@ -46,7 +46,7 @@ def information_at(
 
     Errors of first states are fitted along, as in the last iterations of `amhe identify`: taken as recorded,
     they would pass for noise of the motion. The noise's scale is that of the residuals, with their
-    autocorrelation; the samples are as wide as the jitter of contacts needs, and slopes are freed of it.
+    autocorrelation; the samples are as wide as the jitter of contacts needs.
 
     Args:
         problem: The windows, and rollouts of the system's model.
@@ -59,7 +59,8 @@ def information_at(
     as_recorded = recorded and setting.first_state == "polish"
     first = FirstStates.recorded(len(problem.clips), 0) if as_recorded else problem.recorded(cost)
     shape = np.diag(sampling_width(problem.system.space, setting.step) * problem.active)
-    found = problem.linearised(cost, z, first, shape, rng)
+    # of a few seconds, what is freed of jitter would say less than a log of the usual length will
+    found = problem.linearised(cost, z, first, shape, rng, averaged=False)
     return information(rescaled(found, fitted_noise_scale(found, information(found), {})))
 
 

@@ -179,8 +179,11 @@ class Problem:
         rng: np.random.Generator,
         *,
         straight: bool = False,
+        averaged: bool | None = None,
     ) -> Linearisation:
         """Slopes of a cost about z (d,) and first-state errors, from samples of a shape (d, d).
+
+        They are `averaged`, and freed of jitter, where the model is not smooth, unless that is given.
 
         Efforts along a motion never jitter: the shortest steps give their slopes exactly, where wider ones
         would bend along the valleys of numbers that only together are known well.
@@ -194,7 +197,7 @@ class Problem:
             shape,
             self.settings.identify.samples,
             rng,
-            averaged=self.non_smooth,
+            averaged=self.non_smooth if averaged is None else averaged,
             straight=straight,
             sparsity=self.sparsity,
         )
