@@ -82,7 +82,8 @@ class Go1Target(Opened):
         names, level = (settings.trunk, settings.box), np.array([1.0, 0.0, 0.0, 0.0])
         self._newest = {name: TimedPose(name, -np.inf, np.zeros(3), level) for name in names}
         self._gate = Gate(settings.poses, *names)
-        self._witness = Witness(settings.poses.gate, *names, np.array(box.size))
+        state_age = settings.trips.state_age
+        self._witness = Witness(settings.poses.gate, state_age, *names, np.array(box.size))
         self._imu = level
         self._unpaired: list[TimedPose] = []
         self._robot: list[Any] = []

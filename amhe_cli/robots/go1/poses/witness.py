@@ -26,8 +26,8 @@ from amhe_cli.robots.go1.state_estimator import trunk_velocities
 _WINDOW, _BRIEF = 0.3, 0.1
 #: The least number of poses in each of these times, and how many are kept of a body.
 _LEAST, _KEPT = 4, 120
-#: States of the robot are no older than the poses that are here by more than this [s].
-_LATE = 0.15
+#: The clocks of robot and cameras agree to this [s].
+_CLOCKS = 0.1
 #: Robot samples in one velocity of the feet.
 _BLOCK = 5
 #: A foot stands that is no higher over the lowest one than this [m] ...
@@ -65,12 +65,13 @@ class Witness:
 
     Args:
         gate: Largest deviation in sd.
+        state_age: How old the robot's states may be [s].
         trunk, box: Names of the bodies.
         size: Edge lengths of the box [m], shape (3,).
     """
 
-    def __init__(self, gate: float, trunk: str, box: str, size: FloatArray) -> None:
-        self._gate, self._half = gate, 0.5 * size
+    def __init__(self, gate: float, state_age: float, trunk: str, box: str, size: FloatArray) -> None:
+        self._gate, self._latest, self._half = gate, state_age + _CLOCKS, 0.5 * size
         self._names = trunk, box
         self.begin()
 
@@ -110,7 +111,8 @@ class Witness:
         """By how much states are older than poses, in words: they are not those of now."""
         seen = self._seen[self._names[0]]
         late = seen[-1].time - self._felt[-1].time if seen and self._felt else 0.0
-        return f"states of the robot are {1e3 * late:.0f} ms older than its poses" if late > _LATE else ""
+        words = f"states of the robot are {1e3 * late:.0f} ms older than its poses"
+        return words if late > self._latest else ""
 
     # -- legs ---------------------------------------------------------------------------------------------
 
