@@ -20,7 +20,7 @@ from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.states import collides, controls
 from amhe_cli.estimation.explain.motion import DrivenMotion, motion_in
 from amhe_cli.estimation.explain.regression import LEVEL, SIGNS, blocks_of, memory_of
-from amhe_cli.estimation.explain.unexplained import along, apart_in, direction, missing
+from amhe_cli.estimation.explain.unexplained import along, apart_in, direction, missing, models_of
 from amhe_cli.estimation.offline.clips import whole
 from amhe_cli.system.model.elements import dofs_of
 from amhe_cli.system.system import System
@@ -192,9 +192,9 @@ def _left(system: System, part: Window) -> FloatArray | None:
     theta = np.array(system.space.nominal)
     if (motion := motion_in(system, [part], theta, _INSTANTS)) is None:
         return None
-    found, dofs = along(system, [part.log], motion, theta), list(motion.dofs)
-    residual = missing(motion, found)
-    rows = apart_in(system, [part.log], motion, theta)
+    models = models_of(system, [part.log], theta)
+    found, dofs = along(system, models, motion), list(motion.dofs)
+    residual, rows = missing(motion, found), apart_in(models[0], motion)
     if rows.sum() < _INSTANTS // 10:
         if collides(system.model):
             return None

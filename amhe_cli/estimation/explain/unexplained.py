@@ -106,8 +106,9 @@ def unexplained(system: System, parts: Sequence[Window], z: FloatArray) -> Unexp
     theta, scale = space.theta_of(z), scale_of(system)
     if (motion := motion_in(system, parts, theta)) is None:
         return None
-    found = along(system, logs, motion, theta)
-    residual, rows = missing(motion, found), apart_in(system, logs, motion, theta)
+    models = models_of(system, logs, theta)
+    found = along(system, models, motion)
+    residual, rows = missing(motion, found), apart_in(models[0], motion)
     if not rows.any():
         return None
     slopes = np.empty((len(space), *residual.shape))
@@ -115,13 +116,13 @@ def unexplained(system: System, parts: Sequence[Window], z: FloatArray) -> Unexp
         step = theta.copy()
         step[i] += _STEP * scale[i]
         moved = motion_in(system, parts, step) if system.edits.late else motion
-        slopes[i] = (missing(motion, along(system, logs, moved or motion, step)) - residual) / _STEP
+        after = along(system, models_of(system, logs, step), moved or motion)
+        slopes[i] = (missing(motion, after) - residual) / _STEP
     toward = (theta - np.array(space.nominal)) / scale
     inputs = motion.inputs.copy()
     if (place := controls(system.model, system.input_spec)) is not None:
         inputs[:, place] = 0.0
-    uncommanded = along(system, logs, replace(motion, inputs=inputs, act=0.0 * motion.act), theta).by
-    models = models_of(system, logs, theta)
+    uncommanded = along(system, models, replace(motion, inputs=inputs, act=0.0 * motion.act)).by
     laws = np.stack([np.c_[m.actuator_gainprm[:, :1], m.actuator_biasprm[:, :3]] for m in models])[motion.log]
     return Unexplained(motion, rows, residual, slopes, toward, found, uncommanded, laws=laws)
 
@@ -146,10 +147,10 @@ def models_of(system: System, logs: Sequence[Log], theta: FloatArray) -> list[An
     return [system.edits.apply(system.model, each) for each in values]
 
 
-def along(system: System, logs: Sequence[Log], motion: DrivenMotion, theta: FloatArray) -> Forces:
-    """Forces along a motion as a rollout computes them, each log with its own values."""
+def along(system: System, models: Sequence[Any], motion: DrivenMotion) -> Forces:
+    """Forces along a motion as a rollout computes them, from the model of each log."""
     made = []
-    for number, model in enumerate(models_of(system, logs, theta)):
+    for number, model in enumerate(models):
         own = motion.log == number
         moved = motion.qpos[own], motion.qvel[own], motion.qacc[own]
         made.append(forces_as_stepped(model, *moved, motion.inputs[own], system.input_spec, motion.act[own]))
@@ -157,9 +158,9 @@ def along(system: System, logs: Sequence[Log], motion: DrivenMotion, theta: Floa
     return Forces(**joined)
 
 
-def apart_in(system: System, logs: Sequence[Log], motion: DrivenMotion, theta: FloatArray) -> BoolArray:
+def apart_in(model: Any, motion: DrivenMotion) -> BoolArray:
     """Rows that no contact reaches through the filter, shape (n,)."""
-    clear = apart(models_of(system, logs[:1], theta)[0], motion.qpos)
+    clear = apart(model, motion.qpos)
     for stretch in motion.stretches:
         near = np.convolve(~clear[stretch], np.ones(2 * motion.reach + 1), "same")
         clear[stretch] = near[: stretch.stop - stretch.start] < 0.5
