@@ -272,10 +272,10 @@ def channel_times(cost: MatchingCost, residual: FloatArray, completed: BoolArray
     return tuple(times)
 
 
-def clip_weights(slopes: Linearisation, told: Information) -> FloatArray:
+def clip_weights(slopes: Linearisation, info: Information) -> FloatArray:
     """1 for a clip that counts, 0 for one that diverged or is among the worst (`cost.trim`), shape (c,)."""
     weight = slopes.completed.astype(float)
-    misfit = (told.residual**2).sum(axis=1) / slopes.cost.clips.counts
+    misfit = (info.residual**2).sum(axis=1) / slopes.cost.clips.counts
     drop = int(np.floor(slopes.cost.settings.trim * len(misfit)))
     if drop:
         weight[np.argsort(np.where(slopes.completed, misfit, np.inf))[-drop:]] = 0.0
@@ -310,11 +310,11 @@ def noise_scale(squares: Mapping[str, float], before: Mapping[str, float]) -> di
 
 
 def fitted_noise_scale(
-    slopes: Linearisation, told: Information, before: Mapping[str, float]
+    slopes: Linearisation, info: Information, before: Mapping[str, float]
 ) -> dict[str, float]:
     """Noise scale of each channel after the first states were fitted; see `noise_scale` for `before`."""
-    keep = clip_weights(slopes, told) > 0.0
-    return remaining_noise_scale(slopes.cost, told.residual, told.nuisance, keep, before)
+    keep = clip_weights(slopes, info) > 0.0
+    return remaining_noise_scale(slopes.cost, info.residual, info.nuisance, keep, before)
 
 
 def remaining_noise_scale(

@@ -207,11 +207,11 @@ class Problem:
         fitted = self.settings.identify.first_state != "never"
         return FirstStates.recorded(len(cost.clips.windows), cost.nx * fitted)
 
-    def first_states(self, told: Information, dz: FloatArray) -> FirstStates:
+    def first_states(self, info: Information, dz: FloatArray) -> FirstStates:
         """Posterior of the clips' first states after a step of z (d,)."""
-        sparsity = self.sparsity if told.nuisance.shape[1] else None  # recorded first states have no errors
+        sparsity = self.sparsity if info.nuisance.shape[1] else None  # recorded first states have no errors
         alike = None if sparsity is None else sparsity.first_alike
-        return told.first_states(dz, NARROWEST if self.non_smooth else self.finest, alike)
+        return info.first_states(dz, NARROWEST if self.non_smooth else self.finest, alike)
 
     @property
     def finest(self) -> float:

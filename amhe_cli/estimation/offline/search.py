@@ -151,8 +151,8 @@ def advance(problem: Problem, state: SearchState) -> SearchState:
     fitted = setting.first_state == "always" or (setting.first_state == "polish" and not exploring)
     first = state.first or FirstStates.recorded(len(windows), cost.nx * fitted)
     slopes = problem.linearised(cost, state.z, first, state.shape, rng, straight=state.straight)
-    told = information(slopes)
-    taken = gauss_newton(problem, state, slopes, told)
+    info = information(slopes)
+    taken = gauss_newton(problem, state, slopes, info)
     if np.isinf(taken.cost) and state.record and np.isinf(state.record[-1].cost):
         raise EstimationError(
             "simulations of these clips diverge: check the logs' units and the order of their joints "
@@ -178,19 +178,19 @@ def advance(problem: Problem, state: SearchState) -> SearchState:
         scale=taken.scale,
         record=(*state.record, _entry(problem, state, taken, slopes)),
         # these clips are the same next time; random ones, and few, are not
-        first=None if exploring or few else problem.first_states(told, taken.z - state.z),
+        first=None if exploring or few else problem.first_states(info, taken.z - state.z),
         straight=not (problem.touches or taken.far)
-        and float(slopes.bend.mean()) < STRAIGHT * float((told.residual**2).mean()),
+        and float(slopes.bend.mean()) < STRAIGHT * float((info.residual**2).mean()),
     )
 
 
-def last_step(problem: Problem, state: SearchState, slopes: Linearisation, told: Information) -> SearchState:
+def last_step(problem: Problem, state: SearchState, slopes: Linearisation, info: Information) -> SearchState:
     """The search of a non-smooth cost after a last step, from the linearisation that its result rests on.
 
     Each step is an estimate from its own samples, whose scatter averages out over the later ones.
     """
     before = replace(state, stage="polish")
-    taken = gauss_newton(problem, before, slopes, told)
+    taken = gauss_newton(problem, before, slopes, info)
     trail = np.append(state.trail.reshape(-1, taken.z.size), taken.z[None], axis=0)
     z, record = trail[len(trail) // 3 :].mean(axis=0), (*state.record, _entry(problem, before, taken, slopes))
     return replace(state, number=state.number + 1, z=z, trail=trail, record=record)
@@ -218,21 +218,21 @@ class LineStep:
     scale: Mapping[str, float]
 
 
-def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, told: Information) -> LineStep:
+def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, info: Information) -> LineStep:
     """Step towards the minimum of the linearised cost plus prior; the true cost decides how far."""
     cost, prior = slopes.cost, problem.system.space.prior_precision
-    weight = clip_weights(slopes, told) * problem.coverage(cost.clips.windows)
-    matrix, score = told.summed(weight)
+    weight = clip_weights(slopes, info) * problem.coverage(cost.clips.windows)
+    matrix, score = info.summed(weight)
     whole, hessian = gauss_newton_step(matrix, score, prior, state.z)
     step = step_within(state.z, whole, hessian, problem.system.space) * problem.active
     # slopes of a smooth cost are good beyond the samples: there, the true cost alone decides how far
     width = state.shape if problem.touches else diagonal(WIDEST, problem.active)
     reach = np.abs(coordinates(width, step[None])).max() / REACH
-    times = channel_times(cost, told.residual, slopes.completed)
+    times = channel_times(cost, info.residual, slopes.completed)
 
     def along(line: FloatArray, steps: FloatArray) -> _Tried:
         z = problem.system.space.clip(state.z + steps / max(1.0, reach))
-        first = told.first(z - state.z)
+        first = info.first(z - state.z)
         residuals = cost.residuals(z, first if first.shape[2] else None)
         values = objective(cost, residuals, first, times, weight)
         return _Tried(line, z, first, residuals, values + quadratic_prior(z, np.zeros_like(state.z), prior))
@@ -245,7 +245,7 @@ def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, to
         for _ in range(CORRECTED * (reach <= 1.0)):  # a valley that bends is left by a straight step
             if not np.isfinite(tried[-1].values[0]) or _as_predicted(stay - tried[-1].values[0], falls):
                 break
-            at, score = tried[-1].z[0], _score(slopes, told, weight, tried[-1])
+            at, score = tried[-1].z[0], _score(slopes, info, weight, tried[-1])
             more, _ = gauss_newton_step(matrix, score, prior, at)
             more = step_within(at, more, hessian, problem.system.space) * problem.active
             tried.append(along(WHOLE[:1], (at + more - state.z)[None]))
@@ -258,7 +258,7 @@ def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, to
     moved = trial.z[best] - state.z if problem.touches else step
     length = float(np.sqrt(moved @ hessian @ moved))
     if problem.touches or not np.isfinite(trial.values[best]):
-        scale = fitted_noise_scale(slopes, told, state.scale)
+        scale = fitted_noise_scale(slopes, info, state.scale)
     else:  # nothing jitters, so that one rollout shows the misfit that is left after the step
         left = to_host(trial.residuals.stacked[best])
         scale = remaining_noise_scale(cost, left, trial.first[best], weight > 0.0, state.scale)
@@ -284,12 +284,12 @@ class _Tried:
     values: FloatArray
 
 
-def _score(slopes: Linearisation, told: Information, weight: FloatArray, trial: _Tried) -> FloatArray:
+def _score(slopes: Linearisation, info: Information, weight: FloatArray, trial: _Tried) -> FloatArray:
     """Gradient (d,) of half the data's cost where the first of some steps led, by the slopes from before."""
     gz, gx = np.split(slopes.gain, [trial.z.shape[1]], axis=1)
-    pull = weight[:, None, None] * (told.weight * to_host(trial.residuals.stacked[0]))[..., None]
+    pull = weight[:, None, None] * (info.weight * to_host(trial.residuals.stacked[0]))[..., None]
     of_first = (gx @ pull)[..., 0] + weight[:, None] * trial.first[0]
-    moved: FloatArray = np.einsum("cxd,cx->d", told.nuisance_gain, of_first)
+    moved: FloatArray = np.einsum("cxd,cx->d", info.nuisance_gain, of_first)
     return moved + (gz @ pull)[..., 0].sum(axis=0)
 
 

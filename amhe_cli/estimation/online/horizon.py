@@ -100,13 +100,13 @@ class Considered:
         variant: tuple[System, Engine], cost: MatchingCost, z: FloatArray, fit: WindowFit
     ) -> FloatArray:
         """A column of T: how far a number of the variant moves the window's own estimate, shape (d,)."""
-        (system, engine), told = variant, fit.information
-        assert told is not None
+        (system, engine), info = variant, fit.information
+        assert info is not None
         after = cost.upon(engine, system).residuals(z[None])
         if not after.completed.all():
             return np.zeros(z.size)
-        pull = fit.slope @ (told.weight[0] * (after.flat[0] - fit.slopes.centre)[0])
-        return -np.linalg.solve(told.matrix[0] + np.eye(z.size), pull)
+        pull = fit.slope @ (info.weight[0] * (after.flat[0] - fit.slopes.centre)[0])
+        return -np.linalg.solve(info.matrix[0] + np.eye(z.size), pull)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -214,20 +214,20 @@ def fit_window(problem: WindowProblem, z: FloatArray) -> WindowFit:
         keys = [observed.channel.key for observed in cost.clips.observed]
         variances = [max(noise.square.get(key, 1.0), 1.0) for key in keys]
         weight = weights(cost, residual, [noise.time.get(key, 1.0) for key in keys], variances)
-        told = marginalised(slopes.residual, gz, gx, weight / (1.0 + slopes.bend), zero)
+        info = marginalised(slopes.residual, gz, gx, weight / (1.0 + slopes.bend), zero)
         # the system's prior separates what the window alone cannot
-        step, _ = gauss_newton_step(told.matrix[0], told.score[0], np.eye(d), np.zeros(d))
-        slope = (gz + told.nuisance_gain.transpose(0, 2, 1) @ gx)[0]
-        return told, slope, step, told.residual + step @ slope
+        step, _ = gauss_newton_step(info.matrix[0], info.score[0], np.eye(d), np.zeros(d))
+        slope = (gz + info.nuisance_gain.transpose(0, 2, 1) @ gx)[0]
+        return info, slope, step, info.residual + step @ slope
 
     *_, left = fitted(slopes.residual, problem.noise)
     noise, square = _remembered(problem.noise, cost, left)
-    told, slope, step, left = fitted(left, noise.at_least(square))
-    explained = (left**2).sum() <= _JUMP_LEAVES * (told.residual**2).sum()
-    far = innovation(step, told.matrix[0], problem.prior.covariance, problem.settings.information)
+    info, slope, step, left = fitted(left, noise.at_least(square))
+    explained = (left**2).sum() <= _JUMP_LEAVES * (info.residual**2).sum()
+    far = innovation(step, info.matrix[0], problem.prior.covariance, problem.settings.information)
     return WindowFit(
         slopes,
-        told,
+        info,
         noise=_remembered(problem.noise, cost, left)[0],
         innovation=far if explained else 0.0,
         excitation=rms(shape.T @ gz[0], cost.clips.counts),
@@ -235,7 +235,7 @@ def fit_window(problem: WindowProblem, z: FloatArray) -> WindowFit:
     )
 
 
-def innovation(step: FloatArray, told: FloatArray, prior: FloatArray, share: float) -> float:
+def innovation(step: FloatArray, info: FloatArray, prior: FloatArray, share: float) -> float:
     """How far a window's own estimate is from the belief, in sd of a single number that is as unlikely.
 
     The square of the distance, in units of both covariances, is about chi-square. Of its degrees of freedom
@@ -243,13 +243,13 @@ def innovation(step: FloatArray, told: FloatArray, prior: FloatArray, share: flo
 
     Args:
         step: Step that the window would take alone, with the system's prior, shape (d,).
-        told: Information of the window on z, shape (d, d).
+        info: Information of the window on z, shape (d, d).
         prior: Covariance of the belief, shape (d, d).
         share: Share of the window's samples that count as independent.
     """
-    both = prior + np.linalg.inv(share * told + np.eye(step.size))
-    shrunk = np.linalg.inv(told + np.eye(step.size))
-    expected = shrunk @ (told @ prior @ told + told / share) @ shrunk  # the step's covariance without a jump
+    both = prior + np.linalg.inv(share * info + np.eye(step.size))
+    shrunk = np.linalg.inv(info + np.eye(step.size))
+    expected = shrunk @ (info @ prior @ info + info / share) @ shrunk  # the step's covariance without a jump
     freedom = float(np.trace(np.linalg.solve(both, expected)))
     return sd_of_one(float(step @ np.linalg.solve(both, step)), max(freedom, 1.0))
 
@@ -297,9 +297,9 @@ def linearised_update(problem: WindowProblem, first: WindowFit, prior: Gaussian)
     belief, fit, after = problem.prior, first, np.inf
     turns, rollouts, diverged = 1, first.slopes.rollouts, first.slopes.diverged
     while fit.information is not None:
-        told = fit.information
-        step, covariance = _posterior_step(problem, prior, told, belief.z)
-        after = rms(told.residual[0] + step @ fit.slope, counts)
+        info = fit.information
+        step, covariance = _posterior_step(problem, prior, info, belief.z)
+        after = rms(info.residual[0] + step @ fit.slope, counts)
         belief = Gaussian(space.clip(belief.z + step), covariance)
         short = step @ np.linalg.solve(covariance, step) < 1.0
         if short or turns == problem.settings.iteration_count or problem.late():
@@ -312,7 +312,7 @@ def linearised_update(problem: WindowProblem, first: WindowFit, prior: Gaussian)
 
 
 def _posterior_step(
-    problem: WindowProblem, prior: Gaussian, told: Information, z: FloatArray
+    problem: WindowProblem, prior: Gaussian, info: Information, z: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Step from z (d,) to the minimum of tempered cost and arrival cost, and the covariance there.
 
@@ -320,25 +320,25 @@ def _posterior_step(
     (Joseph's form), as for parameters that are considered rather than estimated (Schmidt 1966).
     """
     share = problem.share * problem.settings.information
-    gain, matrix, weighted = _gain(problem, prior, told)
+    gain, matrix, weighted = _gain(problem, prior, info)
     kept = np.eye(z.size) - gain @ matrix
     covariance = kept @ prior.covariance @ kept.T + gain @ matrix @ gain.T
-    return -gain @ (share * told.score[0] + weighted @ (z - prior.z)), covariance
+    return -gain @ (share * info.score[0] + weighted @ (z - prior.z)), covariance
 
 
 def _gain(
-    problem: WindowProblem, prior: Gaussian, told: Information
+    problem: WindowProblem, prior: Gaussian, info: Information
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Gain of a step, information that counts, and weight of the prior, each (d, d)."""
-    matrix = problem.share * problem.settings.information * told.matrix[0]
+    matrix = problem.share * problem.settings.information * info.matrix[0]
     weights = problem.settings.weights(problem.cost.system.space.names)
     weighted = np.asarray(np.linalg.inv(prior.covariance) + np.diag(weights), dtype=np.float64)
     return np.asarray(np.linalg.inv(matrix + weighted), dtype=np.float64), matrix, weighted
 
 
-def kept_error(problem: WindowProblem, prior: Gaussian, told: Information) -> FloatArray:
+def kept_error(problem: WindowProblem, prior: Gaussian, info: Information) -> FloatArray:
     """How much of an error of z before an update is left after it, shape (d, d)."""
-    gain, matrix, _ = _gain(problem, prior, told)
+    gain, matrix, _ = _gain(problem, prior, info)
     return np.eye(len(matrix)) - gain @ matrix
 
 

@@ -133,8 +133,8 @@ def _changed(fit: FinalFit, cost: MatchingCost) -> tuple[_Change, float]:
 
     there = cost.residuals(*_samples(fit))
     both = slopes.completed & there.completed.all(axis=0)
-    told = information(replace(slopes, residual=there.flat.mean(axis=0), completed=both))
-    pairs = (fit.information, fit.weight), (told, fit.weight * both)
+    info = information(replace(slopes, residual=there.flat.mean(axis=0), completed=both))
+    pairs = (fit.information, fit.weight), (info, fit.weight * both)
     steps = [posterior(fit.z, *pair, fit.space.loose_precision).step for pair in pairs]
     firsts = [one.first(step[None])[0] for (one, _), step in zip(pairs, steps, strict=True)]
     (here, least), (there, most) = map(after, (slopes.cost, cost), steps, firsts)

@@ -102,7 +102,7 @@ class Posterior:
         return np.diag(self.hessian - self.prior) > LITTLE * np.diag(self.prior)
 
 
-def posterior(z: FloatArray, told: Information, weight: FloatArray, prior: FloatArray) -> Posterior:
+def posterior(z: FloatArray, info: Information, weight: FloatArray, prior: FloatArray) -> Posterior:
     """Combine the clips' information with the prior of z.
 
     The scatter of the clips' scores replaces what white noise would give (Huber's sandwich with the clip as
@@ -113,21 +113,21 @@ def posterior(z: FloatArray, told: Information, weight: FloatArray, prior: Float
 
     Args:
         z: Where the clips were linearised, from the prior's mean, shape (d,).
-        told: Information of c clips.
+        info: Information of c clips.
         weight: Number of times that each clip counts, shape (c,); 0 leaves it out.
         prior: Information of the prior, shape (d, d).
     """
-    step, _ = gauss_newton_step(*told.summed(weight), prior, z)
-    hessian = np.einsum("c,cij->ij", weight, told.curvature) + prior
-    score = told.score + np.einsum("cij,j->ci", told.matrix, step)
+    step, _ = gauss_newton_step(*info.summed(weight), prior, z)
+    hessian = np.einsum("c,cij->ij", weight, info.curvature) + prior
+    score = info.score + np.einsum("cij,j->ci", info.matrix, step)
     centred = score - (weight[:, None] * score).sum(axis=0) / max(weight.sum(), 1e-300)
-    followed = told.scatter @ np.linalg.solve(hessian, told.curvature)
+    followed = info.scatter @ np.linalg.solve(hessian, info.curvature)
     followed = 0.5 * (followed + followed.transpose(0, 2, 1))
     between = np.einsum("c,ci,cj->ij", weight, centred, centred) + np.einsum("c,cij->ij", weight, followed)
     # in coordinates in which the posterior is round
     values, vectors = np.linalg.eigh(hessian)
     to, back = vectors / np.sqrt(values), vectors * np.sqrt(values)
-    alone = to.T @ (weight[:, None, None] * told.scatter) @ to
+    alone = to.T @ (weight[:, None, None] * info.scatter) @ to
     both = _shrunk(to.T @ between @ to, alone)
     return Posterior(step, hessian, back @ both @ back.T, prior)
 
@@ -228,11 +228,11 @@ def _fit_of(
     scale: Mapping[str, float],
 ) -> FinalFit:
     """What a linearisation of all clips says about an estimate."""
-    space, told = problem.system.space, information(slopes)
-    weight = clip_weights(slopes, told) * problem.coverage(problem.clips)
-    there = posterior(finding.z, told, weight, space.prior_precision)
+    space, info = problem.system.space, information(slopes)
+    weight = clip_weights(slopes, info) * problem.coverage(problem.clips)
+    there = posterior(finding.z, info, weight, space.prior_precision)
     left = step_within(finding.z, there.step, there.hessian, space)
-    return FinalFit(problem, finding, slopes, told, weight, there, shape, scale, left)
+    return FinalFit(problem, finding, slopes, info, weight, there, shape, scale, left)
 
 
 def _after_last_step(fit: FinalFit, before: SearchState) -> FinalFit:
@@ -331,12 +331,12 @@ def scored(
     if like is not None and problem.non_smooth:
         first = problem.first_states(like.information, np.zeros_like(z)).forgotten
     slopes = problem.linearised(cost, z, first, shape, problem.rng(5), straight=not problem.touches)
-    told = information(slopes)
-    tried = LINE[:, None, None] * told.nuisance
+    info = information(slopes)
+    tried = LINE[:, None, None] * info.nuisance
     residuals = cost.residuals(np.repeat(z[None], len(LINE), axis=0), tried if tried.size else None)
-    times = channel_times(cost, told.residual, slopes.completed)
+    times = channel_times(cost, info.residual, slopes.completed)
     worth = clip_objectives(cost, residuals, tried, times)
     best = worth.argmin(axis=0), np.arange(worth.shape[1])
     kept = tuple(to_host(values)[best][None] for values in residuals.values)
     residuals = Residuals(kept, residuals.completed[best][None])
-    return Scored(cost, residuals, tried[best], times, told)
+    return Scored(cost, residuals, tried[best], times, info)

@@ -168,8 +168,8 @@ def _confirmed(fit: FinalFit, z: FloatArray) -> Rival | None:
     """Whether all clips, their first states fitted, allow a minimum near z (d,) as well as the estimate."""
     cost, prior = fit.slopes.cost, fit.posterior.prior
     # a few clips have led to z: the minimum of all of them is a step away
-    told = scored(fit.problem, cost, z, fit.shape).information.summed(fit.weight)
-    step = step_within(z, *gauss_newton_step(*told, prior, z), fit.space)
+    info = scored(fit.problem, cost, z, fit.shape).information.summed(fit.weight)
+    step = step_within(z, *gauss_newton_step(*info, prior, z), fit.space)
     places = fit.z, fit.space.clip(z + step)
     differs = np.abs(places[1] - places[0]) > SURPRISE * fit.posterior.sd
     both = [scored(fit.problem, cost, place, fit.shape) for place in places]

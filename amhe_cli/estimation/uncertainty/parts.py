@@ -123,9 +123,9 @@ def _kinds(fit: FinalFit) -> Parts:
     }
 
 
-def _alone(fit: FinalFit, told: Information | None = None, side: BoolArray | float = 1.0) -> Posterior:
+def _alone(fit: FinalFit, info: Information | None = None, side: BoolArray | float = 1.0) -> Posterior:
     """Posterior from a part of the linearisation; the prior's mean is the joint estimate."""
-    return posterior(np.zeros_like(fit.z), told or fit.information, fit.weight * side, fit.posterior.prior)
+    return posterior(np.zeros_like(fit.z), info or fit.information, fit.weight * side, fit.posterior.prior)
 
 
 def each_log(fit: FinalFit) -> dict[str, Posterior]:
