@@ -31,8 +31,6 @@ _ROUNDS = 8
 #: Where a data sheet may be wrong by more than slopes show, in units of `Claim.wide`, and the share by which
 #: the cost must fall there.
 _FAR, _FALLS = (-2.0, -1.0, 1.0, 2.0), 0.1
-#: Share by which the cost may rise, by chance, where more is left open.
-_RISES = 1e-3
 #: Logarithm of the odds of an explanation below which it changes no verdict.
 _HOPELESS = -10.0
 
@@ -140,8 +138,8 @@ def without_suspects(
 
     The sheets `right` are believed, whatever it calls them.
 
-    A linearisation may err far from its minimum: where the cost rises with the sheets that it calls wrong,
-    one of them at a time is tried, and where it still rises, that one is believed.
+    A linearisation may err far from its minimum: where the evidence falls with the sheets that it calls
+    wrong, one of them at a time is tried, and where it still falls, that one is believed.
     """
     search, refused, aside = searched(wrong, near), frozenset[Group](), frozenset[Group]()
     tried = {wrong}
@@ -161,7 +159,7 @@ def without_suspects(
             if likely not in tried:
                 tried.add(likely)
                 other = _ended(searched(likely, begin))
-                if _cost(other) <= (1.0 + _RISES) * _cost(search):
+                if Explanation(other, likely, claims).against(Explanation(search, wrong, claims)) > 0.0:
                     search, wrong, refused, aside = other, likely, frozenset(), frozenset()
                     continue
             elif len(new) < 2:
@@ -184,10 +182,6 @@ def sheets_of(evidence: Findings, system: System, claims: Sequence[Claim]) -> Sh
         least[row] = claim.least
         groups.setdefault(claim.group, []).append(row)
     return Sheets(groups, file, right, wide, least)
-
-
-def _cost(search: Search) -> float:
-    return search.finding.record[-1].cost if search.finding.record else np.inf
 
 
 def findings_of(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from amhe_cli.init.names import COMMANDS, KINDS, words
@@ -158,12 +158,9 @@ def _meaning(
     desired = parts[0] != "d" and any(word.isdigit() for word in parts)  # tau_J_d_1, but neither d_q1 nor q_d
     wanted = _COMMANDED | ({"d"} if desired else set())
     command = driving or bool(wanted & set(rest)) or bool(COMMANDS & set(words(table)))
-    rest = [word for word in rest if word not in wanted | _DRIVING | {"j"}]
-    measured = [word for word in rest if word in _MEASURED]
-    entry = "_".join(word for word in rest if word not in _MEASURED and word not in KINDS)
-    return _Meaning(
-        name, quantity, command, _MEASURED.index(measured[0] if measured else ""), entry, int(count or 0)
-    )
+    measured = [word for word in rest if word not in wanted | _DRIVING and word in _MEASURED]
+    rank, entry = _MEASURED.index(measured[0] if measured else ""), _whose(rest, wanted)
+    return _Meaning(name, quantity, command, rank, entry, int(count or 0))
 
 
 def _topic(
@@ -200,7 +197,9 @@ def _named(
         if count == len(joints):
             return tuple(joints), tuple(f"{column}[{i}]" for i in range(count))
         return None
-    bare = {_bare(joint): joint for joint in joints}
+    # a joint's name may have the words that say what a column holds
+    bare = {_whose(_bare(joint).split("_"), _COMMANDED): joint for joint in reversed(joints)}
+    bare |= {_bare(joint): joint for joint in joints}
     first = 1 if "0" in {m.entry for m in group} and "0" not in bare else 0  # q_0 is joint1
     entries = [(str(int(m.entry) + first) if m.plain else m.entry, m.column) for m in alike]
     found = {bare[entry]: column for entry, column in entries if entry and entry in bare}
@@ -212,6 +211,12 @@ def _named(
         ordered = sorted(group, key=lambda m: [int(n) for n in re.findall(r"\d+", m.column)])
         return tuple(joints), tuple(m.column for m in ordered)
     return None
+
+
+def _whose(parts: Sequence[str], commanded: Collection[str]) -> str:
+    """What the words of a column's or joint's name leave of it, without those that say what it holds."""
+    others = (_QUANTITIES, commanded, _DRIVING, _MEASURED, KINDS, ("j",))
+    return "_".join(word for word in parts if not any(word in some for some in others))
 
 
 def _bare(joint: str) -> str:

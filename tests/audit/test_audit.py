@@ -104,7 +104,7 @@ def test_what_something_else_explains_as_well_is_not_contradicted(
 
 @pytest.mark.parametrize("straight", [True, False])
 @pytest.mark.parametrize("right", ["a", "b", "c"])
-def test_where_the_cost_rises_with_several_sheets_each_of_them_is_tried(
+def test_where_the_evidence_falls_with_several_sheets_each_of_them_is_tried(
     monkeypatch: pytest.MonkeyPatch, right: str, straight: bool
 ) -> None:
     """A linearisation calls three sheets wrong, and only one of them explains the logs."""
@@ -119,12 +119,21 @@ def test_where_the_cost_rises_with_several_sheets_each_of_them_is_tried(
         more = {wrong | {name}: value for name, value in (("c", 3.0), ("a", 2.0), ("b", 1.0))}
         return {frozenset("abc"): 6.0, **more, wrong: 0.0}
 
-    costs = {frozenset(): 10.0, frozenset(right): 5.0}
+    @dataclass
+    class Known:
+        search: Any
+        wrong: frozenset[str]
+        claims: Any
+
+        def against(self, first: Known) -> float:
+            evidence = {frozenset(): 10.0, frozenset(right): 15.0}
+            return evidence.get(self.wrong, 0.0) - evidence.get(first.wrong, 0.0)
+
     for name, stub in (("sketched", id), ("sheets_of", lambda *_: None), ("_far_off", lambda *_: None)):
         monkeypatch.setattr(suspects, name, stub)
     monkeypatch.setattr(suspects, "wrong_sheets", sets)
     monkeypatch.setattr(suspects, "_straight", lambda search: straight)
-    monkeypatch.setattr(suspects, "_cost", lambda search: costs.get(search.wrong, 20.0))
+    monkeypatch.setattr(suspects, "Explanation", Known)
     assert suspects.without_suspects(searched, [], frozenset(), None)[1] == {right}
     assert (frozenset("abc") in asked) == straight  # slopes that bend say one sheet at a time
 
@@ -136,9 +145,7 @@ def test_a_search_that_is_interrupted_keeps_what_was_found_before(monkeypatch: p
         asked.append(frozenset(wrong))
         if len(asked) == 3:
             raise KeyboardInterrupt
-        return SimpleNamespace(
-            problem=SimpleNamespace(system=None), watch=SimpleNamespace(interrupted=False), cost=-len(wrong)
-        )
+        return SimpleNamespace(problem=SimpleNamespace(system=None), watch=SimpleNamespace(interrupted=False))
 
     for name, stub in (("sketched", id), ("sheets_of", lambda *_: None), ("_far_off", lambda *_: None)):
         monkeypatch.setattr(suspects, name, stub)
@@ -146,7 +153,8 @@ def test_a_search_that_is_interrupted_keeps_what_was_found_before(monkeypatch: p
         suspects, "wrong_sheets", lambda _, __, wrong, right: {wrong | {str(len(wrong))}: 1.0}
     )
     monkeypatch.setattr(suspects, "_straight", lambda search: True)
-    monkeypatch.setattr(suspects, "_cost", lambda search: 10.0 + search.cost)
+    better = SimpleNamespace(against=lambda _: 1.0)
+    monkeypatch.setattr(suspects, "Explanation", lambda *_: better)
     found, wrong = suspects.without_suspects(searched, [], frozenset(), None)
     assert found.watch.interrupted and wrong == {"0"} and len(asked) == 3
 

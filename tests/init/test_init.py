@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -24,6 +25,7 @@ from amhe_cli.init.folder import _rounding, _topics, init_system
 from amhe_cli.init.names import is_command, joint_paths, matched, names_the_same
 from amhe_cli.init.parameters import guess_parameters
 from amhe_cli.init.signals import Guess, Topic, fields_example, foreign, notes_on
+from amhe_cli.init.tables import topics_in
 from amhe_cli.logs import LogWriter, read_log, read_signals
 from amhe_cli.system.description.schema import SignalEntry
 from amhe_cli.system.system import System
@@ -592,6 +594,20 @@ def test_torques_that_do_not_change_are_no_measurement(tmp_path: Path) -> None:
     notes = init_system(model, [tmp_path / "still.csv"], tmp_path / "arm").sentences
     assert System.load(tmp_path / "arm", warn=False).match == "motion"
     assert any("they can drive the model" in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    "joints", ["hip_to_knee_j knee_to_foot_j", "j1 j2", "left_force_joint right_torque_joint"]
+)
+def test_joints_keep_words_that_columns_use_for_what_they_hold(joints: str) -> None:
+    names = joints.split()
+    columns = {q: tuple(f"{q}_{name}" for name in names) for q in ("position", "effort")}
+    table = Topic("log", "table", 100.0, ("time", *columns["position"], *columns["effort"]), ())
+    for some in (names, names[1:]):  # not by their number
+        few = replace(table, entries=tuple(c for c in table.entries if c.split("_", 1)[-1] in some))
+        (topic,) = topics_in(few, names, {}, alone=True)
+        assert topic.columns == {q: own[-len(some) :] for q, own in columns.items()}
+        assert topic.entries == tuple(some)
 
 
 def renamed(text: str, **words: str) -> str:
