@@ -11,6 +11,7 @@ import pytest
 
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.robots.go1.behaviours.gait import Gait, standing, walk
+from amhe_cli.robots.go1.behaviours.objective import BUMPER
 from amhe_cli.robots.go1.kinematics import HOME, JOINTS, TORQUE_LIMIT
 from amhe_cli.robots.go1.model import (
     Box,
@@ -61,6 +62,19 @@ def _touching_box(model: mujoco.MjModel) -> set[str]:
     geoms = {geom for pair in pairs if model.geom("box").id in pair for geom in pair}
     trunk = model.body("trunk").id
     return {model.geom(g).name.removeprefix("robot/") for g in geoms if model.geom_bodyid[g] == trunk}
+
+
+def test_the_planner_s_forehead_touches_no_box() -> None:
+    """With it plans expect too slow a box, and the robot overspeeds; the estimator's model keeps it."""
+    scene = mujoco.MjModel.from_xml_path(str(find_system("go1_push") / "scene.xml"))
+    for model, touches in ((planner_model(), False), (scene, True)):
+        data, at = mujoco.MjData(model), layout(model)
+        data.qpos[:] = home(model)
+        data.qpos[at.trunk][[0, 2]] = 0.45 - BUMPER + 0.003, 0.265  # as in a stride, the bars 3 mm in the box
+        mujoco.mj_forward(model, data)
+        names = {model.geom(int(g)).name for pair in data.contact.geom for g in pair}
+        assert {"bumper_high", "bumper_low"} <= names
+        assert ("head_5" in names) == touches
 
 
 def test_the_planner_solves_cheaply() -> None:

@@ -170,6 +170,8 @@ class Steering:
     Args:
         path_gain: How much the heading turns back to the path, per distance from it [rad/m], up to
             `path_limit` [rad].
+        path_hold: How much it turns further back per distance from it and way along it [rad/m^2]: a box that
+            creeps aside would come to rest beside its path.
         ahead: The box is turned to where its path will lead this much later [m].
         offset_gain: How far beside the box's middle to push, per missing turn of the box [m/rad], up to
             `offset_limit` [m].
@@ -183,6 +185,7 @@ class Steering:
 
     path_gain: float = 1.5
     path_limit: float = 0.5
+    path_hold: float = 0.5
     ahead: float = 0.08
     offset_gain: float = 1.0
     offset_limit: float = 0.12
@@ -238,6 +241,7 @@ class Helm:
         self._steering, self._retreat = steering, retreat
         self._pacing, self._insisting = Pacing(), Insisting()
         self.retreating = False
+        self._gone, self._held = 0.0, 0.0
 
     def on_path(self, state: State) -> Reference:
         """The fixed path reference: what the task demands, whether or not it can be done."""
@@ -253,7 +257,9 @@ class Helm:
         place, s = self._path.place(state.box.position[:2]), self._steering
         origin = self._path.nearest(state.box.position[:2], place)
         progress, box_yaw, commanded = float(place.progress), state.box.yaw, self._commanded(place)
-        back = limited(s.path_gain * float(place.left), s.path_limit)
+        along, self._gone = progress - self._gone, progress
+        self._held = limited(self._held + s.path_hold * float(place.left) * max(along, 0.0), s.path_limit)
+        back = limited(s.path_gain * float(place.left) + self._held, s.path_limit)
         heading = float(place.heading) + self._path.curvature * s.ahead - back
         missing = wrapped(heading - box_yaw)
         offset = -limited(s.offset_gain * missing, s.offset_limit)

@@ -90,6 +90,19 @@ def test_on_a_curve_it_steps_aside_as_a_part_of_the_box_would() -> None:
     assert move.command[1] < steering - 0.05
 
 
+@pytest.mark.parametrize("path", [LINE, ARC])
+def test_a_box_that_creeps_aside_comes_back_to_its_path(path: Course) -> None:
+    """It goes 0.055 rad beside where it is headed, as one did that came to rest 5 cm beside its goal."""
+    steered, left, far = helm(path), 0.0, []
+    for progress in np.arange(0.0, 2.4, 0.004):
+        at = steered.reference(along(path, float(progress), left))
+        ahead = path.heading + path.curvature * progress
+        left += 0.004 * float(wrapped(at.heading - path.curvature * Steering().ahead - ahead) - 0.055)
+        far.append(abs(left))
+    assert max(far) < 0.03, "feedback of the distance alone leaves 0.055 / 1.5 = 3.7 cm"
+    assert far[-1] < 0.9 * max(far), "it comes back"
+
+
 def test_what_the_task_asks_for_is_the_path_and_its_speed() -> None:
     at = helm().on_path(along(LINE, 1.0, astray=0.3, turn=0.2))
     assert (at.speed, at.heading, at.yaw, at.box_yaw, at.offset) == (SPEED, 0.0, 0.0, 0.0, 0.0)
