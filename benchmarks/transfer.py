@@ -237,7 +237,7 @@ def _short(value: Any) -> Any:
 
 
 def _learnt(history: History) -> dict[str, Any]:
-    """Relative errors of the belief at the end and of mu m over time; if 90 % intervals hold the truth.
+    """Relative errors and sd of the belief at the end, of mu m over time; if 90 % intervals hold the truth.
 
     Over time: from 3 s on, but not in the 1.5 s after a change; rms, and shares of the time.
     """
@@ -258,6 +258,11 @@ def _learnt(history: History) -> dict[str, Any]:
     }
     return {
         "off": {name: float(error[-1]) for name, error in off.items()},
+        "sd": {
+            name: float(sd / at)
+            for last in history.estimates[-1:]
+            for name, sd, at in zip(last.belief.names, last.sd, last.theta, strict=True)
+        },
         "push_rms": float(np.sqrt(np.mean(off["push"][counts] ** 2))) if counts.any() else None,
         "inside": {name: bool(held[-1]) for name, held in inside.items()} if history.estimates else {},
         "held": {name: float(held[counts].mean()) for name, held in inside.items()}
