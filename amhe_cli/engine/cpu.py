@@ -21,7 +21,7 @@ from amhe_cli.engine.rollout import (
     predicted_in_parts,
     turns_of,
 )
-from amhe_cli.engine.states import controls, first_activations, without_contacts
+from amhe_cli.engine.states import controls, first_activations, in_state, without_contacts
 from amhe_cli.system.parameters.gear_friction import OF_GEARS, UPDATE, GearFriction, ahead, beyond
 from amhe_cli.system.parameters.model_edits import ModelEdits
 from amhe_cli.system.parameters.servos import BIAS, Servos
@@ -58,7 +58,7 @@ class CpuEngine:
         self._batch: mujoco.batch.Batch | None = None
         self._fields: dict[str, np.ndarray] = {}
         self._written = np.empty((0, len(edits.space)))
-        self._controls = controls(model, input_spec)
+        self._controls, self._inputs = controls(model, input_spec), in_state(model, input_spec)
 
     precision, device_bytes = float(np.finfo(np.float64).eps), 0
 
@@ -188,23 +188,30 @@ class CpuEngine:
         every = max(1, round(UPDATE / self._model.opt.timestep))
         drive = None if self._servos is None else self._driver(self._servos, batch, some)
         hold = None if self._gear is None else self._holder(self._gear, batch, some, every)
+        place = (some, self._inputs) if every_one else (ids[:, None], self._inputs)
         if hold is not None:
-            before = batch.state[some].copy()
+            batch.state[place] = control[:, 0]
             if drive is not None:
                 drive(control[:, 0])
-            run(control[:, :1])  # for the forces at the start, upon which friction depends
-            batch.state[some] = before
+            batch.forward(rows)  # for the forces at the start, upon which friction depends
         steps, at_once = control.shape[1], every if drive is None else 1
-        edges = range(0, steps, at_once)
-        pieces = [np.ascontiguousarray(control[:, first : first + at_once]) for first in edges]
-        made = list[dict[Any, FloatArray]]()
-        for first, piece in zip(edges, pieces, strict=True):
+        now = {name: batch.bind(name) for name in record}
+        made = {name: np.empty((len(ids), steps, view.shape[1])) for name, view in now.items()}
+        for first in range(0, steps, at_once):
             if hold is not None and first % every == 0:
                 hold()
             if drive is not None:
-                drive(piece[:, 0])
-            made.append(run(piece))
-        return {name: np.concatenate([one[name] for one in made], axis=1) for name in record}
+                drive(control[:, first])
+            if at_once == 1:  # quicker than a rollout of one step
+                batch.state[place] = control[:, first]
+                batch.step(rows, stage=mujoco.mjtStage.mjSTAGE_NONE)
+                for name, view in now.items():
+                    made[name][:, first] = view[some]
+            else:
+                piece = slice(first, first + at_once)
+                for name, values in run(control[:, piece]).items():
+                    made[name][:, piece] = values
+        return made
 
     def _driver(
         self, servos: Servos, batch: mujoco.batch.Batch, some: slice | IntArray

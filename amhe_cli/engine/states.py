@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from amhe_cli.core import rotations
-from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
 
 #: Distance from which geoms count as far apart [m].
 _FAR = 100.0
@@ -67,6 +67,15 @@ def controls(model: mujoco.MjModel, input_spec: int) -> slice | None:
     bit = int(mujoco.mjtState.mjSTATE_CTRL)
     first = mujoco.mj_stateSize(model, input_spec & (bit - 1))
     return slice(first, first + model.nu) if input_spec & bit else None
+
+
+def in_state(model: mujoco.MjModel, input_spec: int) -> IntArray:
+    """Where the input vector is in a simulation's whole state, as `mujoco.batch` has it, shape (nu,)."""
+    whole, found = int(mujoco.mjtState.mjSTATE_INTEGRATION), [np.empty(0, dtype=np.int64)]
+    for bit in (1 << i for i in range(input_spec.bit_length()) if input_spec >> i & 1):
+        first = mujoco.mj_stateSize(model, whole & (bit - 1))
+        found.append(first + np.arange(mujoco.mj_stateSize(model, bit)))
+    return np.concatenate(found)
 
 
 def first_activations(model: mujoco.MjModel, qpos: FloatArray, controls: FloatArray) -> FloatArray:

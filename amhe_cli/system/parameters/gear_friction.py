@@ -87,24 +87,29 @@ class GearFriction:
         k_m, k_e, f_s, v_s, power, k_ms, k_es, quadratic = np.moveaxis(numbers, -1, 0).copy()
         constant, of_load, of_slow = dry.copy(), _under_load(k_e, k_m), _under_load(k_es, k_ms)
         grows, bent, pulls = k_es.any() or k_ms.any(), (power != 1.0).any(), quadratic.any()
-        slows = grows or f_s.any()
+        slows, falls = grows or f_s.any(), -1.0 / v_s
+        takes = min(dry.min(), *(part.min() for part in (k_m, k_e, f_s, k_ms, k_es, quadratic))) < 0.0
 
         def bound(motor: FloatArray, external: FloatArray, speed: FloatArray) -> FloatArray:
-            found = constant + of_load(external, motor)
+            found = of_load(external, motor)
+            found += constant
             if slows:
-                share = np.abs(speed / v_s)
-                slow = np.exp(-(share**power if bent else share))
-                found += slow * (f_s + of_slow(external, motor)) if grows else slow * f_s
+                size = np.abs(speed)
+                slow = np.exp(-((size / v_s) ** power) if bent else size * falls)
+                slow *= f_s + of_slow(external, motor) if grows else f_s
+                found += slow
             if pulls:
                 found += quadratic * np.maximum(-motor * external, 0.0)
-            return np.maximum(found, 0.0, out=found)
+            return np.maximum(found, 0.0, out=found) if takes else found
 
         return bound
 
 
 def beyond(constraint: FloatArray, holds: FloatArray) -> FloatArray:
     """What of the forces of constraints is external, not friction: all above what friction could hold."""
-    return constraint - np.minimum(np.maximum(constraint, -holds), holds)
+    held = np.maximum(constraint, -holds)
+    np.minimum(held, holds, out=held)
+    return np.subtract(constraint, held, out=held)
 
 
 def ahead(now: FloatArray, before: FloatArray, every: int) -> FloatArray:
@@ -114,8 +119,10 @@ def ahead(now: FloatArray, before: FloatArray, every: int) -> FloatArray:
     as it was, friction lags; errors of positions are five to ten times as large then.
     """
     share = 0.5 + 0.5 / every
-    line = (1.0 + share) * now - share * before
-    return np.minimum(np.maximum(line, now / AHEAD), now * AHEAD)
+    line = (1.0 + share) * now
+    line -= share * before
+    # no bound is negative and the share at most 1: above, AHEAD holds by itself
+    return np.maximum(line, now / AHEAD, out=line)
 
 
 def _under_load(k_e: FloatArray, k_m: FloatArray) -> Callable[[FloatArray, FloatArray], FloatArray]:
