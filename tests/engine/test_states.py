@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.engine.rollout import Starts
-from amhe_cli.engine.states import contact_forces, first_activations, integrated
+from amhe_cli.engine.states import contact_forces, first_activations, in_state, integrated
 from amhe_cli.system.system import System
 
 
@@ -18,6 +18,21 @@ def test_tangent_steps_are_mujocos_own() -> None:
     expected = qpos.copy()
     mujoco.mj_integratePos(model, expected, delta, 1.0)
     assert integrated(model, qpos, delta) == pytest.approx(expected, abs=1e-12)
+
+
+def test_inputs_have_their_places_in_the_whole_state() -> None:
+    model, rng = System.load("go1_push").model, np.random.default_rng(4)
+    data = mujoco.MjData(model)
+    data.ctrl, data.xfrc_applied = rng.normal(size=model.nu), rng.normal(size=(model.nbody, 6))
+    parts = (
+        int(mujoco.mjtState.mjSTATE_INTEGRATION),
+        int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_XFRC_APPLIED),
+    )
+    whole, inputs = (np.empty(mujoco.mj_stateSize(model, spec)) for spec in parts)
+    for values, spec in zip((whole, inputs), parts, strict=True):
+        mujoco.mj_getState(model, data, values, spec)
+    np.testing.assert_array_equal(whole[in_state(model, parts[1])], inputs)
+    assert in_state(model, 0).size == 0
 
 
 def test_commands_beyond_the_history_hold_its_ends() -> None:
