@@ -11,6 +11,8 @@ from amhe_cli.core.errors import and_more
 _EACH, _NAMED = 3, 6
 #: Share of its range by which a joint or its targets may go beyond it: noise and soft stops do.
 BEYOND = 0.1
+#: Size of what was tested, and found wrong, in a log.
+WRONG = 3.0
 
 #: Kind of a doubt, what it is about, the doubt, and its size: a finding is one of a size above 1.
 Doubt = tuple[str, str, str, float]
@@ -29,6 +31,10 @@ _CURES = {
     "weak": "is the limit that of the motor, before the gear? Is a mass too large?",
     "range": "look for degrees taken for radians, or for another zero",
     "overlap": "exclude the pair, or mend the shapes or the home pose",
+    "loose": "a placeholder? Give the limit of the motor behind its gear",
+    "axes": "take the inertia's axes from CAD, in the frame of the link",
+    "unmeasured": "log it: without, each clip starts it at rest where the model has it at home",
+    "slow": "record more samples a second: faster motion than half of that is lost",
     "still": "move it: `amhe probe` writes an excitation",
     "gaps": "pauses between runs do no harm; else record without silences, or loosen `logs.max_gap`",
     "saturated": "then its gain cannot be determined: command smaller steps, or is the gain wrong?",

@@ -23,12 +23,18 @@ _UNLIMITED = 1e3
 _OUTSIDE = 0.15
 #: Radius of gyration over half the diagonal of the shape: between a point and a ring around it.
 _POINT, _RING = 0.1, 1.1
+#: Radius of gyration about one axis over how far the shape is from it: drives stand out of what is drawn; and
+#: the least reach that counts [m].
+_BESIDE, _THIN = 1.5, 0.01
 #: Factors by which left and right may differ in mass, and in anything else.
 _TWIN_MASS, _TWIN = 1.02, 1.1
 #: A servo's period should last this many time steps.
 _STEPS = 6.0
 #: A servo that gives all its force at a smaller error [rad] is stiffer than position servos are.
 _SATURATES = 0.01
+#: A limit of force that is so many times what a servo gives over all of its range is none, and targets that
+#: cover less than this share of the range are of another unit.
+_LOOSE, _COVERED = 5.0, 0.5
 #: Penetration at the home pose [m] that is no contact but an overlap.
 _OVERLAP = 1e-3
 #: Poses that gravity's torque is the largest of, and the seed of their generator.
@@ -122,6 +128,22 @@ def _against_shape(model: mujoco.MjModel, body: int, name: str, shape: FloatArra
     # a factor on the inertia, but no finding until the radius is beyond what is allowed for
     yield "inertia", name, f"{as_of}, outside its shape", _if(gyration > _RING * half, (gyration / half) ** 2)
     yield "inertia", name, f"{as_of}: a point", (_POINT * half / max(gyration, 1e-9)) ** 2
+    if ((com >= shape.min(axis=0)) & (com <= shape.max(axis=0))).all():  # else what is drawn is not the link
+        yield from _axes(model, body, name, points)
+
+
+def _axes(model: mujoco.MjModel, body: int, name: str, points: FloatArray) -> Iterator[Doubt]:
+    """Inertia about an axis of the shape that all of its mass, as far off as the shape reaches, has not."""
+    mass, away, turn = float(model.body_mass[body]), points - model.body_ipos[body], np.zeros(9)
+    mujoco.mju_quat2Mat(turn, model.body_iquat[body])
+    principal, own = turn.reshape(3, 3), np.linalg.eigh(np.cov(points.T))[1]
+    gyration = np.sqrt((own.T @ principal) ** 2 @ model.body_inertia[body] / mass)
+    reach = np.array([np.linalg.norm(np.cross(away, axis), axis=1).max() for axis in own.T])
+    k = int(np.argmax(gyration / np.maximum(reach, _THIN)))
+    says = (
+        f"about an axis of its shape that reaches {1e3 * reach[k]:.3g} mm, its inertia is that of its mass at"
+    )
+    yield "axes", name, f"{says} {1e3 * gyration[k]:.3g} mm", gyration[k] / (_BESIDE * max(reach[k], _THIN))
 
 
 def _if(found: bool, size: float) -> float:
@@ -224,10 +246,18 @@ def _limits(model: mujoco.MjModel, joints: IntArray) -> Iterator[Doubt]:
         takes = f"{np.degrees(error):.2g} degrees of error already take all of its force"
         yield "stiff", name, takes, hinge * _SATURATES / max(error, 1e-12)
         if stiffness and model.actuator_ctrllimited[row] and model.jnt_limited[joint]:
-            reach, span = model.actuator_ctrlrange[row] / gear, max(np.ptp(model.jnt_range[joint]), 1e-6)
+            span, per = max(np.ptp(model.jnt_range[joint]), 1e-6), model.actuator_gainprm[row, 0] / stiffness
+            reach = np.sort(model.actuator_ctrlrange[row] * per / gear)
             beyond = max(model.jnt_range[joint, 0] - reach[0], reach[1] - model.jnt_range[joint, 1])
             goes = f"its targets go {beyond:.2g} rad beyond the joint's range of {span:.3g}"
             yield "range", name, goes, _if(beyond > BEYOND * span, float(1.0 + beyond / span))
+            covered = float(np.ptp(reach)) / span
+            little = f"its targets cover {covered:.2g} of the joint's range"
+            yield "range", name, little, _COVERED / max(covered, 1e-6)
+        most = stiffness * gear**2 * float(np.ptp(model.jnt_range[joint]))
+        if hinge and model.jnt_limited[joint] and np.isfinite(limit) and most > 0.0:
+            never = f"its {limit:.3g} N m never act: over all of its range it gives {most:.3g}"
+            yield "loose", name, never, limit / (_LOOSE * most)
     for joint in joints[model.jnt_limited[joints] > 0]:
         width = float(np.ptp(model.jnt_range[joint]))
         size = _if(width < _UNLIMITED, width / (8.0 * np.pi))

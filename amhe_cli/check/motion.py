@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from amhe_cli.check.findings import BEYOND, Doubt, Finding
+from amhe_cli.check.findings import BEYOND, WRONG, Doubt, Finding
 from amhe_cli.check.model import touching
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import LogError
@@ -18,6 +18,8 @@ from amhe_cli.engine.inverse import forces_along
 from amhe_cli.engine.states import home
 from amhe_cli.matching.motion import motion_of
 from amhe_cli.matching.windows import driving
+from amhe_cli.system.model.elements import dofs_of, followers
+from amhe_cli.system.model.gaps import gaps
 from amhe_cli.system.system import System
 
 #: A joint whose range is within this many noise sd stands still, as for clips.
@@ -28,6 +30,8 @@ _STATES = 400
 _OFTEN = 0.05
 #: Share of a limit of force that is all of it.
 _ALL = 0.999
+#: Share of half of the sampling rate that the band of a motion may reach.
+_SEEN = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +46,7 @@ class JointMotion:
         band: Highest frequency at which the motion is larger than the noise [Hz]; None where the logs are too
             short to tell.
         noise: Noise sd of its sensor [rad or m].
+        rate: Samples per second [Hz], in the slowest log.
     """
 
     joint: str
@@ -52,6 +57,7 @@ class JointMotion:
     speed: float
     band: float | None
     noise: float
+    rate: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,6 +106,7 @@ def motions(system: System, logs: Sequence[Log]) -> tuple[JointMotion, ...]:
                 JointMotion(
                     joint.name, "m" if slides else "rad", low, high, (high - low) / span if span else None,
                     float(np.quantile(np.concatenate(speeds), 0.99)), band or None, channel.noise or 0.0,
+                    min(one.sampled.sum() / max(one.valid.sum(), 1) for one in series) / system.dt,
                 )
             )  # fmt: skip
     return tuple(found)
@@ -127,14 +134,34 @@ def _doubts(system: System, logs: Sequence[Log], moved: Sequence[JointMotion]) -
     for one in moved:
         if one.high - one.low <= _STILL * one.noise:
             yield "still", one.joint, "it stands still in these logs", 1.0
+        if one.band is not None and one.band > 0.5 * _SEEN * one.rate:
+            moves = f"it moves at up to {one.band:.2g} Hz, and has {one.rate:.3g} samples a second"
+            yield "slow", one.joint, moves, 2.0 * one.band / (_SEEN * one.rate)
         if one.share is not None and one.share > 1.0 + BEYOND:
             yield "range", one.joint, f"it moves through {one.share:.2g} times its range", one.share
+    for joint in _unmeasured(system) if moved else ():
+        yield "unmeasured", joint, "no signal measures it", WRONG
     for log in logs:
         for key in system.keys:
             if (lost := float(1.0 - log[key].valid.mean())) > _OFTEN:
                 yield "gaps", key, f"no value in {lost:.0%} of {log.source}", 1.0 + lost
         if not (system.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any():
             yield from _along(system, log)
+
+
+def _unmeasured(system: System) -> list[str]:
+    """Hinges and slides that no signal measures, where signals measure joints alone."""
+    model, channels = system.model, system.channels
+    if any(channel.source not in ("qpos", "qvel") for channel in channels):
+        return []
+    measured = {column for channel in channels if channel.source == "qpos" for column in channel.columns}
+    ends = {end for gap in gaps(model) for end in (gap.drive, gap.link)}
+    behind = {*followers(model), *(model.joint(end).name for end in ends)}
+    return [
+        dof.name
+        for dof in dofs_of(model)
+        if dof.place >= 0 and dof.place not in measured and dof.name not in behind
+    ]
 
 
 def _along(system: System, log: Log) -> Iterator[Doubt]:

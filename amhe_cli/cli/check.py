@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+import numpy as np
 
 from amhe_cli.cli import options
 from amhe_cli.cli.command import Given, argument, command, flag, option
@@ -48,7 +49,6 @@ def check(session: Session, given: Given) -> int | None:
     from amhe_cli.cli.required import missed_of
     from amhe_cli.core.files import write_whole
     from amhe_cli.estimation.design.expected import expected
-    from amhe_cli.estimation.explain.inputs import first_look
     from amhe_cli.report.check import check_page, expected_record, print_expected, print_findings
     from amhe_cli.system.model.files import compiled, read_spec
 
@@ -63,7 +63,7 @@ def check(session: Session, given: Given) -> int | None:
         system, read = _read(given.inputs, path, given.logs, not given.no_meshes)
         moved = motions(system, read)
         found += log_findings(system, read, moved)
-        found += _told(read, [*texts, *(text for log in read for text in first_look(system, log))])
+        found += _recorded(system, read, texts)
         hope = expected(system, read)
         session.listed = None
         missed = missed_of((*hope.parameters, *hope.bodies), given.require, "expected to be known")
@@ -88,17 +88,25 @@ def check(session: Session, given: Given) -> int | None:
     return LOSSY if missed else None
 
 
-def _told(logs: Sequence[Log], texts: Iterable[str]) -> Iterator[Finding]:
+def _recorded(system: System, logs: Sequence[Log], texts: Sequence[str]) -> Iterator[Finding]:
     """What was reported when logs were read, and at first sight: clocks, spikes, damage, signs, units."""
-    from amhe_cli.check.findings import Finding
+    from amhe_cli.check.findings import WRONG, Finding
     from amhe_cli.cli.advice import entry_of
+    from amhe_cli.estimation.explain.inputs import mended, remarks
+    from amhe_cli.estimation.offline.clips import whole
 
+    for log in logs:
+        for wrong in mended(system, [whole(log)], np.random.default_rng(0))[:1]:
+            yield Finding("recording", wrong.place, wrong.what, WRONG, f"{wrong.remedy} in its signal")
     sources = {log.source for log in logs}
-    for text in dict.fromkeys(texts):
+    for text in dict.fromkeys([*texts, *(text for log in logs for text in remarks(system, log))]):
         source = next((one for one in sources if text.startswith(f"{one}: ")), "")
         entry = entry_of(text)
         cure = f"amhe help {entry}" if entry else "put it right in the log, or in what the system says of it"
-        yield Finding("recording", source or "log", text.removeprefix(f"{source}: "), 1.0, cure)
+        if lacks := "no command in the log" in text:
+            cure = "log its commands: columns `command_position_NAME`, or a topic that `signals` names"
+        size = WRONG if lacks else 1.0
+        yield Finding("recording", source or "log", text.removeprefix(f"{source}: "), size, cure)
 
 
 def _read(inputs: Inputs, path: Path, logs: Sequence[Path], meshes: bool) -> tuple[System, list[Log]]:

@@ -91,33 +91,44 @@ def forces_along(
     ctrl = np.zeros((count, model.nu)) if inputs is None or at is None else inputs[:, at]
     states = np.zeros((count, model.na)) if act is None else act
     free, drive = with_servos(unconstrained(model), qpos, qvel, ctrl, states)
-    data, outputs, gear = mujoco.MjData(free), list(free.actuator_outadr), GearFriction.of(model)
+    data, gear = mujoco.MjData(free), GearFriction.of(model)
     pushed = bool(input_spec & int(mujoco.mjtState.mjSTATE_XFRC_APPLIED))
-    moment, mass = np.zeros((free.nout, nv)), np.empty((count, nv, nv))
-    needed, given, by = np.empty((count, nv)), np.zeros((count, nv)), np.zeros((count, free.nactuator, nv))
+    moment, mass = np.zeros((count, free.nout, nv)), np.empty((count, nv, nv))
+    needed, given, force = np.empty((count, nv)), np.zeros((count, nv)), np.zeros((count, free.nout))
     friction, motor, smooth = np.tile(model.dof_frictionloss, (count, 1)), *np.zeros((2, count, nv))
+    # fields of data are views of it: to make them at each instant would take as long as the mechanics
+    position, speed, acceleration, activation = data.qpos, data.qvel, data.qacc, data.act
+    inverse, driven, applied, pushes = (
+        data.qfrc_inverse,
+        data.qfrc_actuator,
+        data.qfrc_applied,
+        data.xfrc_applied,
+    )
+    sparse = data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
+    forces, rest = data.actuator_force, (data.qfrc_passive, data.qfrc_bias, data.qfrc_damper)
     for k in range(count):
         if inputs is not None and inputs.shape[1]:
             mujoco.mj_setState(free, data, inputs[k], input_spec)
-        data.qpos, data.qvel, data.qacc = qpos[k], qvel[k], qacc[k]
+        position[:], speed[:], acceleration[:] = qpos[k], qvel[k], qacc[k]
         mujoco.mj_inverse(free, data)
-        needed[k] = data.qfrc_inverse
+        needed[k] = inverse
         mujoco.mj_fullM(free, data, mass[k])
         if inputs is None:
             continue
         if act is not None:
-            data.act = act[k]
+            activation[:] = act[k]
         drive(k)
         mujoco.mj_fwdActuation(free, data)
-        given[k] = data.qfrc_actuator + data.qfrc_applied
-        for body in np.flatnonzero(data.xfrc_applied.any(axis=1)) if pushed else ():
-            force, torque = np.split(data.xfrc_applied[body], 2)
-            mujoco.mj_applyFT(free, data, force, torque, data.xipos[body], body, given[k])
-        if outputs:  # of several of an actuator the first
-            rows = data.moment_rownnz, data.moment_rowadr, data.moment_colind
-            mujoco.mju_sparse2dense(moment, data.actuator_moment, *rows)
-            by[k] = (moment * data.actuator_force[:, None])[outputs]
-        motor[k], smooth[k] = data.qfrc_actuator, data.qfrc_passive - data.qfrc_bias - data.qfrc_damper
+        given[k] = driven + applied
+        for body in np.flatnonzero(pushes.any(axis=1)) if pushed else ():
+            push, torque = np.split(pushes[body], 2)
+            mujoco.mj_applyFT(free, data, push, torque, data.xipos[body], body, given[k])
+        if free.nout:
+            mujoco.mju_sparse2dense(moment[k], *sparse)
+            force[k] = forces
+        if gear is not None:
+            motor[k], smooth[k] = driven, rest[0] - rest[1] - rest[2]
+    by = moment[:, free.actuator_outadr] * force[:, free.actuator_outadr, None]  # the first of several
     if gear is not None and inputs is not None:
         own, dofs = motor[:, gear.dofs], gear.dofs
         bound = gear.law(model.numeric_data[gear.at][None], model.dof_frictionloss[None, dofs])

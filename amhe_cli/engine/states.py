@@ -129,11 +129,12 @@ def without_contacts(model: mujoco.MjModel) -> mujoco.MjModel:
     return changed
 
 
-def filters(model: mujoco.MjModel) -> list[tuple[int, float]]:
-    """Places in the activations, and time constants, of commands that act through a filter of first order."""
+def filters(model: mujoco.MjModel) -> list[tuple[int, int, float]]:
+    """Activations, commands and time constants, where commands act through a filter of first order."""
     kinds = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
     rows = [row for row in range(model.nactuator) if int(model.actuator_dyntype[row]) in kinds]
-    return [(int(model.actuator_actadr[r]), max(float(model.actuator_dynprm[r, 0]), 1e-9)) for r in rows]
+    places = [(int(model.actuator_actadr[row]), int(model.actuator_ctrladr[row])) for row in rows]
+    return [(*at, max(float(model.actuator_dynprm[r, 0]), 1e-9)) for r, at in zip(rows, places, strict=True)]
 
 
 def apart(model: mujoco.MjModel, qpos: FloatArray) -> BoolArray:

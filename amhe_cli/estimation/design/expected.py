@@ -15,15 +15,15 @@ import numpy as np
 from amhe_cli.core.errors import EstimationError
 from amhe_cli.core.log import Log
 from amhe_cli.engine.open import open_engine
+from amhe_cli.estimation.core.information import information
 from amhe_cli.estimation.core.result import VERDICTS, Combination, ParameterResult, with_bodies
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.clips import ClipPool, evenly, whole
 from amhe_cli.estimation.offline.problem import Problem
-from amhe_cli.estimation.offline.watch import Watch
 from amhe_cli.estimation.uncertainty import terms
 from amhe_cli.estimation.uncertainty.assumed import assumed
 from amhe_cli.estimation.uncertainty.derived import body_numbers, combinations
-from amhe_cli.estimation.uncertainty.fit import FinalFit, doubled_prior, final_fit, posterior
+from amhe_cli.estimation.uncertainty.fit import FinalFit, doubled_prior, fit_of, posterior
 from amhe_cli.estimation.uncertainty.ledger import Ledger
 from amhe_cli.estimation.uncertainty.verdicts import Evidence, verdicts
 from amhe_cli.system.system import System
@@ -33,8 +33,8 @@ from amhe_cli.system.system import System
 CLIPS = 12
 #: Fewer, but never below this, where one linearisation would take more steps of the simulation than that.
 FEWEST, STEPS = 6, 200_000
-#: Iterations of the search that lead near the estimate, at most, and the share of the last one's cost above
-#: which it is near.
+#: Iterations of the search that lead near the estimate, at most, and the share of the misfit that a further
+#: step would take away, below which it is near.
 ITERATIONS, NEAR = 6, 0.9
 #: Linearisations of all clips that an identification takes, half of them its search: those of the examples.
 _LINEARISATIONS = 17.0
@@ -82,16 +82,14 @@ def expected(system: System, logs: Sequence[Log], *, threads: int = 1, seed: int
     if not clips:
         raise EstimationError("no clip of these logs can be used: too short, motionless, or across gaps")
     engine = open_engine(system, threads=threads)
-    problem = Problem(system, pool, engine, seed, only=tuple(evenly(clips, CLIPS)), threads=threads)
-    steps = problem.linearisation * max(clip.length for clip in problem.clips)
-    kept = max(FEWEST, CLIPS * STEPS // steps)
-    problem = replace(problem, only=tuple(evenly(problem.clips, kept)), whole=problem)
+    few = Problem(system, pool, engine, seed, only=tuple(evenly(clips, FEWEST)), threads=threads)
+    steps = few.linearisation // len(few.clips) * max(clip.length for clip in few.clips)
+    problem = replace(few, only=tuple(evenly(clips, min(max(FEWEST, STEPS // steps), CLIPS))), whole=few)
+    began = time.process_time()
+    fit, rollouts = _near(problem)
+    pace = (time.process_time() - began) / max(rollouts, 1)
     few = problem.clips
     share = (1.0 - settings.held_out) * min(len(clips), settings.most) / len(few)
-    began = time.process_time()
-    state = _near(problem)
-    pace = (time.process_time() - began) / max(sum(one.rollouts for one in state.record), 1)
-    fit = final_fit(problem, state, Watch(lambda iteration, total: None, None, 1))
     fit = _as_if(fit, max(share, 1.0 / len(few)))
     term, _ = assumed(fit)
     space = system.space
@@ -118,20 +116,35 @@ def expected(system: System, logs: Sequence[Log], *, threads: int = 1, seed: int
     )
 
 
-def _near(problem: Problem) -> search.SearchState:
-    """A search that ends near the estimate: its first steps by few of the clips, the last by all of them."""
-    rough = replace(problem, only=tuple(evenly(problem.clips, FEWEST // 2)))
+def _near(problem: Problem) -> tuple[FinalFit, int]:
+    """A linearisation near the estimate, and the rollouts of the way there.
+
+    The first steps of a search are by few of the clips, the others by all of them. Where nothing touches, the
+    slopes of the last one hold where it ends, too.
+    """
+    few = replace(problem, only=tuple(evenly(problem.clips, FEWEST // 2)))
     # where nothing touches, short steps to one side suffice to come near: half of the rollouts
-    state = replace(search.restart(rough, np.zeros(len(problem.system.space))), straight=not problem.touches)
-    while problem.active.any() and not state.done and state.number < search.ROUGHLY:
-        state = search.advance(rough, state)
-    state, before = replace(state, stage="polish", first=None), np.inf
-    while problem.active.any() and not state.done and state.number < ITERATIONS:
-        state = search.advance(problem, state)
-        if state.record[-1].cost > NEAR * before:
-            break
-        before = state.record[-1].cost
-    return replace(state, settled=True)  # what it sampled last has the shape of what is left open
+    state = replace(search.restart(few, np.zeros(len(problem.system.space))), straight=not problem.touches)
+    part, before, near = few, np.inf, not problem.active.any()
+    while not near:
+        slopes = search.slopes_at(part, state)
+        info = information(slopes)
+        taken = search.gauss_newton(part, state, slopes, info)
+        state = search.stepped(part, state, slopes, info, taken)
+        most = search.ROUGHLY if part is few else ITERATIONS
+        near, before = state.done or state.number >= most or taken.cost > NEAR * before, taken.cost
+        if part is few and (near or (taken.predicted and not problem.touches)):
+            part, before, near = problem, np.inf, False
+            state = replace(state, stage="polish", first=None)
+    if problem.touches or not problem.active.any():
+        slopes = search.slopes_at(problem, state)
+    else:
+        first = state.first or problem.recorded(slopes.cost)
+        mean = first.mean[None] if first.mean.size else None
+        there = slopes.cost.residuals(state.z[None], mean).flat[0]
+        slopes = replace(slopes, residual=there, centre=there, first=first)
+    rollouts = sum(one.rollouts for one in state.record) + slopes.rollouts
+    return fit_of(problem, state, slopes, state.shape, state.scale), rollouts
 
 
 def _as_if(fit: FinalFit, times: float) -> FinalFit:

@@ -7,22 +7,24 @@ model, each joint's drive, friction and inertia may be off, at a price.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from functools import partial, reduce
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray, IntArray
+from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
 from amhe_cli.core.log import Log, Window
-from amhe_cli.engine.states import collides, controls
+from amhe_cli.engine.inverse import Forces
+from amhe_cli.engine.states import collides, controls, filters, first_activations
 from amhe_cli.estimation.explain.motion import DrivenMotion, motion_in
 from amhe_cli.estimation.explain.regression import LEVEL, SIGNS, blocks_of, memory_of
 from amhe_cli.estimation.explain.unexplained import along, apart_in, direction, missing, models_of
 from amhe_cli.estimation.offline.clips import whole
-from amhe_cli.system.model.elements import dofs_of
+from amhe_cli.matching.starts import tangent_of
+from amhe_cli.system.model.elements import dofs_of, set_followers
 from amhe_cli.system.system import System
 
 #: Candidates that are tried: 24 joints of a hand have 350; a hundred joints have 5,252, which take hours.
@@ -38,12 +40,70 @@ _KEYS = dict(zip(_UNITS, ("unit: deg", "unit: {effort: mV}, or mA, mNm,", "no un
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Remapped:
+    """A log with columns that are others, times factors: key of a series -> column -> (which one, factor)."""
+
+    columns: Mapping[str, Mapping[int, tuple[int, float]]]
+
+    def __call__(self, log: Log) -> Log:
+        """The log, a position's velocity like the position."""
+        series = dict(log.series)
+        for key, columns in self.columns.items():
+            names = {key, key.removesuffix(".position") + ".velocity"}
+            for name in names & series.keys() if key.endswith(".position") else {key}:
+                values = np.array(series[name].values)
+                _set(values, series[name].values, range(values.shape[1]), columns)
+                series[name] = replace(series[name], values=values)
+        return replace(log, series=series)
+
+    def joints(self, system: System) -> bool:
+        """Whether positions are others, not commands alone."""
+        return any(channel.source == "qpos" and channel.key in self.columns for channel in system.channels)
+
+    def moved(self, system: System, motion: DrivenMotion) -> DrivenMotion:
+        """The motion of such a log, from that of the log as it is: it is linear in the columns."""
+        model, place = system.model, controls(system.model, system.input_spec) or slice(0, 0)
+        kept = motion.qpos, motion.qvel, motion.qacc
+        qpos, qvel, qacc = map(np.array, kept)
+        for channel in system.channels if self.joints(system) else ():
+            if channel.source == "qpos" and channel.key in self.columns:
+                dofs = tangent_of(system, channel)
+                for values, old, at in zip(
+                    (qpos, qvel, qacc), kept, (channel.columns, dofs, dofs), strict=True
+                ):
+                    _set(values, old, at, self.columns[channel.key])
+        measured = {at for channel in system.channels if channel.source == "qpos" for at in channel.columns}
+        for change in (qvel, qacc):
+            set_followers(model, qpos, change, measured)
+        # what came through a filter stands for its command
+        filtered = np.array(motion.inputs)
+        for at, command, _ in filters(model):
+            filtered[:, place.start + command] = motion.act[:, at]
+        inputs, lasting = np.array(motion.inputs), np.array(filtered)
+        for source in system.inputs:
+            for values, old in ((inputs, motion.inputs), (lasting, filtered)):
+                _set(values, old, source.columns, self.columns.get(source.key, {}))
+        act = first_activations(model, qpos, inputs[:, place])
+        for at, command, _ in filters(model):
+            act[:, at] = lasting[:, place.start + command]
+        return replace(motion, qpos=qpos, qvel=qvel, qacc=qacc, inputs=inputs, act=act)
+
+
+def _set(
+    values: FloatArray, old: FloatArray, at: Sequence[int], columns: Mapping[int, tuple[int, float]]
+) -> None:
+    """Columns of some old ones, which are `at` these places, times factors, in place."""
+    for i, (other, factor) in columns.items():
+        values[:, at[i]] = factor * old[:, at[other]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Mended:
     """A log as it would be if something were put right.
 
     Args:
         kind, place, text: What would be put right, and where, in words.
-        mend: A log -> the log with it put right.
+        mend: The log with it put right.
         remedy: Key of the signal that would.
         instead: The log with other factors, which must leave more: any would do where little is explained.
         share, left: Share of the unexplained acceleration that goes with it, and what is left.
@@ -52,17 +112,21 @@ class Mended:
     kind: str
     place: str
     text: str
-    mend: Callable[[Log], Log]
+    mend: Remapped
     remedy: str = ""
-    instead: tuple[Callable[[Log], Log], ...] = ()
+    instead: tuple[Remapped, ...] = ()
     share: float = 0.0
     left: float = 0.0
 
     @property
+    def what(self) -> str:
+        """It, with what speaks for it."""
+        return f"{self.text}: put right, {self.share:.0%} of the motion that the prior does not explain goes"
+
+    @property
     def sentence(self) -> str:
         """It, with what speaks for it and what to do."""
-        goes = f"put right, {self.share:.0%} of the motion that the prior does not explain goes"
-        return f"{self.text}: {goes}; nothing was changed ({self.remedy} in its signal would)"
+        return f"{self.what}; nothing was changed ({self.remedy} in its signal would)"
 
 
 def mended(system: System, parts: Sequence[Window], rng: np.random.Generator) -> list[Mended]:
@@ -75,17 +139,16 @@ def mended(system: System, parts: Sequence[Window], rng: np.random.Generator) ->
     """
     part = max(parts, key=lambda one: one.length)
     candidates = [] if system.match == "effort" else list(_candidates(system))
-    if not 0 < len(candidates) <= _MOST or (start := _left(system, part)) is None:
+    look = _Look.at(system, part) if 0 < len(candidates) <= _MOST else None
+    if look is None or (start := look.left()) is None:
         return []
     blocks = blocks_of([slice(0, len(start))], memory_of(start[:, None], [slice(0, len(start))]))
     edges = [block.start for block in blocks]  # they follow each other without a gap
 
-    def left_by(mend: Callable[[Log], Log]) -> FloatArray | None:
+    def left_by(mend: Remapped) -> FloatArray | None:
         """What is left of each block; None where that is no better than that nothing accelerates."""
-        left = _left(system, replace(part, log=mend(part.log)))
-        if left is None or len(left) != blocks[-1].stop or left.mean() > 1.0:
-            return None
-        return np.add.reduceat(left, edges)
+        left = look.left(mend)
+        return None if left is None or left.mean() > 1.0 else np.add.reduceat(left, edges)
 
     start = np.add.reduceat(start, edges)
     signs = rng.choice([-1.0, 1.0], (SIGNS, len(start)))
@@ -151,9 +214,8 @@ def _all_in(unit: str, factor: float, columns: Sequence[tuple[str, int]]) -> Ite
     """All columns of a signal, or of all of them, in another unit."""
     keys = dict.fromkeys(key for key, _ in columns)
 
-    def times(factor: float, some: Sequence[str]) -> Callable[[Log], Log]:
-        mends = [_scaled(key, {i: factor for of, i in columns if of == key}) for key in some]
-        return lambda log: reduce(lambda log, mend: mend(log), mends, log)
+    def times(factor: float, some: Sequence[str]) -> Remapped:
+        return Remapped({key: {i: (i, factor) for of, i in columns if of == key} for key in some})
 
     for some in dict.fromkeys([*((key,) for key in keys), tuple(keys)]):
         places = ", ".join(key.rpartition(".")[0] for key in some)
@@ -163,53 +225,73 @@ def _all_in(unit: str, factor: float, columns: Sequence[tuple[str, int]]) -> Ite
         )
 
 
-def _scaled(key: str, factors: dict[int, float]) -> Callable[[Log], Log]:
-    def scale(values: FloatArray) -> None:
-        values[:, list(factors)] *= list(factors.values())
-
-    return partial(_changed, key, scale)
+def _scaled(key: str, factors: Mapping[int, float]) -> Remapped:
+    return Remapped({key: {i: (i, factor) for i, factor in factors.items()}})
 
 
-def _swapped(key: str, i: int, j: int) -> Callable[[Log], Log]:
-    def swap(values: FloatArray) -> None:
-        values[:, [i, j]] = values[:, [j, i]]
-
-    return partial(_changed, key, swap)
+def _swapped(key: str, i: int, j: int) -> Remapped:
+    return Remapped({key: {i: (j, 1.0), j: (i, 1.0)}})
 
 
-def _changed(key: str, change: Callable[[FloatArray], None], log: Log) -> Log:
-    """A log with the columns of a series changed, and of a position's velocity likewise."""
-    series, names = dict(log.series), {key, key.removesuffix(".position") + ".velocity"}
-    for name in names & series.keys() if key.endswith(".position") else {key}:
-        values = np.array(series[name].values)
-        change(values)
-        series[name] = replace(series[name], values=values)
-    return replace(log, series=series)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Look:
+    """A part of a log at the prior's values, where other logs of its columns are compared with it.
 
+    Args:
+        system, model: The system, and its model as the log has it.
+        motion: The motion.
+        forces, rows: Forces along it, and the rows that count; None where something may touch in all of them.
+    """
 
-def _left(system: System, part: Window) -> FloatArray | None:
-    """What is left of the accelerations at each instant, in units of them and with the price, shape (n,)."""
-    theta = np.array(system.space.nominal)
-    if (motion := motion_in(system, [part], theta, _INSTANTS)) is None:
-        return None
-    models = models_of(system, [part.log], theta)
-    found, dofs = along(system, models, motion), list(motion.dofs)
-    residual, rows = missing(motion, found), apart_in(models[0], motion)
-    if rows.sum() < _INSTANTS // 10:
-        if collides(system.model):
+    system: System
+    model: Any
+    motion: DrivenMotion
+    forces: Forces
+    rows: BoolArray | None
+
+    @classmethod
+    def at(cls, system: System, part: Window) -> _Look | None:
+        """The part as it is; None where it shows no motion."""
+        theta = np.array(system.space.nominal)
+        if (motion := motion_in(system, [part], theta, _INSTANTS)) is None:
             return None
-        rows[:] = True  # ranges in another unit
-    size = np.sqrt((motion.filtered(motion.qacc)[rows][:, dofs] ** 2).mean(axis=0)) + 1e-12
-    given, owner = own_forces(system, motion, found.given)
-    own = np.linalg.inv(found.mass[rows][:, dofs][:, :, dofs])[:, :, owner]  # each acts on its joint alone
-    columns = np.moveaxis(own, 2, 0) * motion.filtered(given)[rows].T[..., None] / size  # (m, n, k)
-    columns /= np.sqrt((columns**2).sum(axis=2).mean(axis=1))[:, None, None] + 1e-12
-    e, flat = residual[rows] / size, columns.reshape(len(columns), -1)
-    price = _PRICE * len(e) * np.eye(len(flat))
-    fit = np.linalg.solve(flat @ flat.T + price, flat @ e.ravel())
-    total = np.zeros(len(residual))
-    total[rows] = ((e - np.tensordot(fit, columns, 1)) ** 2).sum(axis=1) + _PRICE * (fit**2).sum()
-    return total / len(dofs)
+        (model,) = models_of(system, [part.log], theta)
+        return cls(system, model, motion, along(system, [model], motion), _counting(model, motion))
+
+    def left(self, mend: Remapped | None = None) -> FloatArray | None:
+        """What is left of the accelerations at each instant, in units of them and with the price, shape (n,).
+
+        None where something may touch throughout.
+        """
+        system, motion, found, rows = self.system, self.motion, self.forces, self.rows
+        if mend is not None:
+            motion = mend.moved(system, motion)
+            found = along(system, [self.model], motion)
+            if mend.joints(system):
+                rows = _counting(self.model, motion)
+        if rows is None:
+            return None
+        residual, dofs = missing(motion, found), list(motion.dofs)
+        size = np.sqrt((motion.filtered(motion.qacc)[rows][:, dofs] ** 2).mean(axis=0)) + 1e-12
+        given, owner = own_forces(system, motion, found.given)
+        own = np.linalg.inv(found.mass[rows][:, dofs][:, :, dofs])
+        own = own[:, :, owner]  # each acts on its joint alone
+        columns = np.moveaxis(own, 2, 0) * motion.filtered(given)[rows].T[..., None] / size  # (m, n, k)
+        columns /= np.sqrt((columns**2).sum(axis=2).mean(axis=1))[:, None, None] + 1e-12
+        e, flat = residual[rows] / size, columns.reshape(len(columns), -1)
+        price = _PRICE * len(e) * np.eye(len(flat))
+        fit = np.linalg.solve(flat @ flat.T + price, flat @ e.ravel())
+        total = np.zeros(len(residual))
+        total[rows] = ((e - np.tensordot(fit, columns, 1)) ** 2).sum(axis=1) + _PRICE * (fit**2).sum()
+        return total / len(dofs)
+
+
+def _counting(model: Any, motion: DrivenMotion) -> BoolArray | None:
+    """Rows that no contact reaches; all where only ranges are left, None where something may touch."""
+    rows = apart_in(model, motion)
+    if rows.sum() >= _INSTANTS // 10:
+        return rows
+    return None if collides(model) else np.ones_like(rows)  # ranges in another unit
 
 
 def own_forces(system: System, motion: DrivenMotion, given: FloatArray) -> tuple[FloatArray, IntArray]:
@@ -235,6 +317,13 @@ def first_look(
         columns: Columns of the log's table; empty for other formats.
         rng: Generator of the signs of blocks; None: the same in each call.
     """
+    yield from remarks(system, log, columns)
+    for wrong in mended(system, [whole(log)], rng or np.random.default_rng(0))[:1]:
+        yield wrong.sentence
+
+
+def remarks(system: System, log: Log, columns: Sequence[str] = ()) -> Iterator[str]:
+    """What a log lacks for its system, and what stands in it: the quick part of `first_look`."""
     model = system.model
     place = controls(model, system.input_spec) or slice(0, 0)
     given = {at - place.start for source in system.inputs for at in source.columns}
@@ -258,5 +347,3 @@ def first_look(
         for column in still if not series.derived else ():
             name = names[column] if column < len(names) else f"number {column}"
             yield f"{key} of {name} never changes: it is {values[0, column]:.4g} throughout"
-    for wrong in mended(system, [whole(log)], rng or np.random.default_rng(0))[:1]:
-        yield wrong.sentence

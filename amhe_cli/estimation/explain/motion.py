@@ -7,7 +7,7 @@ usual frequency on: the noise of accelerations grows with the square of the freq
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +27,8 @@ _WIDTH, _ENDS = 0.1325, 4.0
 _SHARE, _LOWEST = 0.7, 1.0
 #: No more instants than about these are looked at, over all logs; and rows in an sd of the filter, at least.
 MOST, _FINE = 2000, 1.5
+#: Instants of a piece, where a log has more of them.
+_PIECE = 150
 #: Fewer instants of a stretch tell nothing.
 _FEW = 30
 
@@ -126,8 +128,9 @@ def motion_in(
     step = found[0][0].step
     sparse = max(1, min(int(total * system.dt / step) // most, int(_WIDTH / _FINE / band / step)))
     made, stretches, at = [], [], 0
-    for measured, rows, (inputs, act), log in found:
-        rows = rows[::sparse]
+    share = most * sparse / sum(rows.size for _, rows, *_ in found)
+    pieces = [(one, piece, *rest) for one, rows, *rest in found for piece in _pieces(rows[::sparse], share)]
+    for measured, rows, (inputs, act), log in pieces:
         if rows.size < _FEW:
             continue
         when = measured.rows[rows]
@@ -144,6 +147,17 @@ def motion_in(
     return DrivenMotion(
         qpos, qvel, qacc, inputs, act, time, log, tuple(stretches), dofs, sparse * step, band, usual
     )
+
+
+def _pieces(rows: IntArray, share: float) -> Iterator[IntArray]:
+    """A share of the rows of a stretch, as pieces spread evenly over it; all of them where the share is 1."""
+    if share >= 1.0:
+        yield rows
+        return
+    count = max(1, round(rows.size * share / _PIECE))
+    size = int(rows.size * share / count)
+    for first in np.linspace(0, rows.size - size, count).astype(int):
+        yield rows[first : first + size]
 
 
 def _driven(system: System, log: Log, theta: FloatArray, width: int) -> tuple[FloatArray, FloatArray]:
@@ -169,7 +183,7 @@ def _activations(system: System, inputs: FloatArray, dt: float) -> FloatArray:
     if not model.na or place is None:
         return np.zeros((len(inputs), model.na))
     act = first_activations(model, np.tile(model.qpos0, (len(inputs), 1)), inputs[:, place])
-    for at, time in filters(model):
+    for at, _, time in filters(model):
         share, value = 1.0 - np.exp(-dt / time), act[0, at]
         for k in range(len(act)):
             act[k, at] = value = value + share * (act[k, at] - value)

@@ -137,12 +137,16 @@ def restart(
 
 def advance(problem: Problem, state: SearchState) -> SearchState:
     """One iteration: draw clips, linearise, step, and decide what comes next."""
+    slopes = slopes_at(problem, state)
+    info = information(slopes)
+    return stepped(problem, state, slopes, info, gauss_newton(problem, state, slopes, info))
+
+
+def slopes_at(problem: Problem, state: SearchState) -> Linearisation:
+    """How an iteration begins: draw clips, and linearise."""
     setting = problem.settings.identify
-    exploring = state.stage == "explore"
+    exploring, few = state.stage == "explore", _few(problem, state)
     rng = problem.rng(0, state.number)
-    # a search that begins is far away, and a few clips say where to go, if they know all that is sought
-    far = state.number < ROUGHLY and problem.whole is None
-    few = far and not problem.touches and not any(part.log.own for part in problem.pool.parts)
     if exploring:
         windows = problem.drawn(rng, min(problem.clip_count, FEW) if few else problem.clip_count)
     else:
@@ -150,9 +154,21 @@ def advance(problem: Problem, state: SearchState) -> SearchState:
     cost = problem.cost(windows, state.scale)
     fitted = setting.first_state == "always" or (setting.first_state == "polish" and not exploring)
     first = state.first or FirstStates.recorded(len(windows), cost.nx * fitted)
-    slopes = problem.linearised(cost, state.z, first, state.shape, rng, straight=state.straight)
-    info = information(slopes)
-    taken = gauss_newton(problem, state, slopes, info)
+    return problem.linearised(cost, state.z, first, state.shape, rng, straight=state.straight)
+
+
+def _few(problem: Problem, state: SearchState) -> bool:
+    """A search that begins is far away, and a few clips say where to go, if they know all that is sought."""
+    far = state.number < ROUGHLY and problem.whole is None
+    return far and not problem.touches and not any(part.log.own for part in problem.pool.parts)
+
+
+def stepped(
+    problem: Problem, state: SearchState, slopes: Linearisation, info: Information, taken: LineStep
+) -> SearchState:
+    """How an iteration ends: take a step, and decide what comes next."""
+    setting, few = problem.settings.identify, _few(problem, state)
+    exploring, windows = state.stage == "explore", slopes.cost.clips.windows
     if np.isinf(taken.cost) and state.record and np.isinf(state.record[-1].cost):
         raise EstimationError(
             "simulations of these clips diverge: check the logs' units and the order of their joints "
@@ -204,6 +220,7 @@ class LineStep:
         z: The new estimate, shape (d,).
         moved: Length of the step, in posterior sd.
         far: The full step left the region that was sampled, and was shortened, or did not help.
+        predicted: The cost fell as the slopes predict, so that they hold where the step ends.
         cost: Cost at the new estimate, in units of the declared noise.
         rollouts, diverged: Number of rollouts, and how many of them diverged.
         scale: Channel -> residual sd over declared noise sd.
@@ -212,6 +229,7 @@ class LineStep:
     z: FloatArray
     moved: float
     far: bool
+    predicted: bool
     cost: float
     rollouts: int
     diverged: int
@@ -265,6 +283,7 @@ def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, in
     return LineStep(
         z=trial.z[best],
         moved=length,
+        predicted=reach <= 1.0 and _as_predicted(stay - trial.values[best], falls),
         far=bool(reach > 1.0) or (trial.line[best] == 0.0 and length > SETTLED),
         cost=float(cost.as_declared(trial.residuals)[best]),
         rollouts=sum(each.residuals.completed.size for each in tried),

@@ -183,7 +183,8 @@ def _changes(fit: FinalFit) -> Iterator[_Change]:
     settings = problem.settings.identify.assumed
     if problem.system.match == "effort":
         return  # nothing is integrated, and nothing touches
-    variants = contact_variants(problem.engine, problem.system.unedited) if settings.contacts else {}
+    soft = settings.contacts and problem.touches
+    variants = contact_variants(problem.engine, problem.system.unedited) if soft else {}
     softness = Source("the softness of contacts", amount=2.0**settings.contacts, unit="times")
     for engine in variants.values():  # a factor of two to either side: each has half of the variance
         yield _changed(fit, cost.upon(engine))[0].times(settings.contacts / np.sqrt(2.0), softness)
@@ -331,34 +332,40 @@ class _Nuisances:
         return _Nuisances(best, self.changes, self.values, self.slopes, at).followed()
 
     def _alone(self) -> FloatArray:
-        """Slopes from small samples, and alone; where contacts jitter, of one sd."""
+        """Slopes from small samples, and alone; where contacts jitter, of one sd, else to one side.
+
+        They show which numbers are felt, and along what their samples should lie.
+        """
         moves = np.zeros((len(self.fit.z), len(self.values)))
         turns = np.zeros((*self.fit.slopes.first.mean.shape, len(self.values)))
-        size = 1.0 if self.problem.non_smooth else SMALL
-        return self._with_changes(self._sampled(moves, turns, size * np.eye(len(self.values))))
+        size, straight = 1.0 if self.problem.non_smooth else SMALL, not self.problem.touches
+        return self._with_changes(self._sampled(moves, turns, size * np.eye(len(self.values)), straight))
 
     def _with_changes(self, slopes: FloatArray) -> FloatArray:
         return np.concatenate((*(change.slope[:, None] for change in self.changes), slopes), axis=1)
 
-    def _sampled(self, moves: FloatArray, turns: FloatArray, steps: FloatArray) -> FloatArray:
+    def _sampled(
+        self, moves: FloatArray, turns: FloatArray, steps: FloatArray, straight: bool = False
+    ) -> FloatArray:
         """Slopes of the residuals (c, k, R) by the numbers of the model.
 
         Args:
             moves: Steps of z with a step of each, shape (d, k).
             turns: Steps of the first states with it, shape (c, nx, k).
             steps: The samples of one side, in the sd of each number, shape (k, k).
+            straight: Take that side alone: half of the rollouts.
         """
         fit, k = self.fit, len(self.values)
         if not k:
             return np.zeros((len(fit.weight), 0, fit.slopes.residual.shape[1]))
         grows, at = np.array([value.grows for value in self.values]), self._at[len(self.changes) :]
-        steps = np.concatenate((steps, -steps))
+        steps = steps if straight else np.concatenate((steps, -steps))
         steps = np.where(grows, np.maximum(steps, -at), steps)
         z = np.concatenate((fit.z + steps @ moves.T, at + steps), axis=1)
         first = fit.slopes.first.mean + np.einsum("pk,cxk->pcx", steps, turns)
         residuals = self._cost.residuals(z, first if first.shape[2] else None)
-        pairs = residuals.flat[:k] - residuals.flat[k:]
-        change = np.tensordot(np.linalg.inv(steps[:k] - steps[k:]), pairs, 1).swapaxes(0, 1)
+        middle, other = (0.0, fit.slopes.centre) if straight else (steps[k:], residuals.flat[k:])
+        change = np.tensordot(np.linalg.inv(steps[:k] - middle), residuals.flat[:k] - other, 1).swapaxes(0, 1)
         gz, gx = np.split(fit.slopes.gain, [len(fit.z)], axis=1)
         return change - np.einsum("dk,cdr->ckr", moves, gz) - np.einsum("cxk,cxr->ckr", turns, gx)
 

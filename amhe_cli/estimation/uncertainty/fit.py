@@ -204,7 +204,7 @@ def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) ->
     shaped = searched and first is not None and (problem.non_smooth or finding.settled)
     for turn in range(TURNS):
         slopes = _linearised(problem, finding.z, scale, shape, first, turn)
-        fit = _fit_of(problem, finding, slopes, shape, scale)
+        fit = fit_of(problem, finding, slopes, shape, scale)
         covariance = within(fit.posterior.covariance, problem.alike)
         wanted = bounded(4.0 * covariance, floor, problem.active, problem.alike)
         # slopes from samples that hardly bend are those of wider ones, too
@@ -220,7 +220,7 @@ def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) ->
     return _after_last_step(fit, finding) if searched and finding.done and problem.non_smooth else fit
 
 
-def _fit_of(
+def fit_of(
     problem: Problem,
     finding: Finding,
     slopes: Linearisation,
@@ -243,7 +243,7 @@ def _after_last_step(fit: FinalFit, before: SearchState) -> FinalFit:
     away = finding.z - before.z
     along = np.einsum("d,cdr->cr", away, slopes.gain[:, : away.size])
     moved = replace(slopes, residual=slopes.residual + along)
-    return _fit_of(fit.problem, finding, moved, fit.shape, fit.scale)
+    return fit_of(fit.problem, finding, moved, fit.shape, fit.scale)
 
 
 def doubled_step(fit: FinalFit) -> Posterior:

@@ -11,12 +11,13 @@ import io
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.arrays import FloatArray, sealed
 from amhe_cli.core.errors import LogError
 from amhe_cli.logs.containers.table_file import Column
 
@@ -24,6 +25,8 @@ from amhe_cli.logs.containers.table_file import Column
 _HEAD = 2**16
 #: Bytes that are read at once.
 _BLOCK = 2**20
+#: Blocks of numbers that are kept for the next reading.
+_KEPT = 16
 #: A line that is longer than this does not belong to a table.
 _LONGEST_LINE = 2**20
 #: What may stand between two cells.
@@ -204,10 +207,11 @@ def _text_blocks(file: BinaryIO, path: Path) -> Iterator[bytes]:
         yield left
 
 
+@lru_cache(_KEPT)  # a log is looked at before it is read
 def _parsed(text: bytes, dialect: Dialect) -> tuple[FloatArray, int]:
     """Rows of some lines, and how many lines were dropped."""
     if (plain := _plain(text, dialect)) is not None:
-        return plain, 0
+        return sealed(plain), 0
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(_COMMENT)]
     kept = [cells for line in lines if len(cells := _cells(line, dialect.delimiter)) == len(dialect.columns)]
     rows, place = np.full((len(kept), dialect.width), np.nan), 0
@@ -217,7 +221,7 @@ def _parsed(text: bytes, dialect: Dialect) -> tuple[FloatArray, int]:
             block = _numbers(cells, column, dialect.decimal_comma)
             rows[:, place : place + width] = block.reshape(len(kept), width)
         place += width
-    return rows, len(lines) - len(kept)
+    return sealed(rows), len(lines) - len(kept)
 
 
 def _plain(text: bytes, dialect: Dialect) -> FloatArray | None:
