@@ -70,7 +70,7 @@ def _parameter_table(
         (
             p.name,
             p.verdict,
-            numbers.quantity(numbers.with_sd(p.estimate, p.sd), p.unit),
+            cell("measure", numbers.with_sd(p.estimate, p.sd), numbers.unit_of(p.unit)),
             numbers.interval(p.lower, p.upper),
             numbers.with_sd(p.prior, p.prior_sd),
             _strip(p, log),

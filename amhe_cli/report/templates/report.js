@@ -7,3 +7,6 @@ const seen = new IntersectionObserver((entries) => {
   for (const { target, isIntersecting } of entries) document.querySelector(`nav a[href="#${target.id}"]`)?.classList.toggle("here", isIntersecting);
 }, { rootMargin: "-60px 0px -70% 0px" });
 for (const one of document.querySelectorAll("nav ~ [id]")) seen.observe(one);
+// a long name may break behind a '_' or a '.'
+for (const one of document.querySelectorAll("td.name"))
+  if (!one.children.length) one.innerHTML = one.innerHTML.replace(/[_.](?=\w)/g, "$&<wbr>");
