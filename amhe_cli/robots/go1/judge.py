@@ -190,9 +190,7 @@ class History:
     _troubles: dict[str, list[float]] = field(default_factory=dict)
     _rows: list[dict[str, float]] = field(default_factory=list)
     _last: Cycle | None = None
-    _missed: list[FloatArray] = field(default_factory=list)
-    _rising: list[float] = field(default_factory=list)
-    _lifted: list[float] = field(default_factory=list)
+    _walked: list[tuple[FloatArray, float, float]] = field(default_factory=list)
 
     def add(self, cycle: Cycle) -> dict[str, float]:
         """Take in a cycle; returns its row."""
@@ -213,17 +211,19 @@ class History:
         if not (self.compares and self.task.pushes) or expected is None or at is None or at.pushing:
             return
         if cycle.time > _FREE and abs(expected.time - cycle.time) < 1e-6:
-            self._missed.append(cycle.estimate.joints - expected.joints)
-            self._rising.append(float(cycle.estimate.trunk.velocity[2] - expected.trunk.velocity[2]))
-            self._lifted.append(float(cycle.estimate.box.position[2]) - 0.5 * self.task.box.size[2])
-        if len(self._missed) != _ENOUGH:
+            now, lifted = cycle.estimate, cycle.estimate.box.position[2] - 0.5 * self.task.box.size[2]
+            rising = now.trunk.velocity[2] - expected.trunk.velocity[2]
+            self._walked.append((now.joints - expected.joints, float(rising), float(lifted)))
+        if len(self._walked) != _ENOUGH:
             return
-        rise, lift = abs(float(np.mean(self._rising))), float(np.mean(self._lifted))
+        rise, lift = np.mean([one[1:] for one in self._walked], axis=0).tolist()
         found = []
         if self.miss > _MISS:
             found = [(f"joints are {self.miss:.0f} times their noise from where they are expected", _ROBOT)]
-        elif rise > _RISE:
-            found = [(f"trunk rises or sinks {1e3 * rise:.0f} mm/s faster than the model expects", _ROBOT)]
+        elif abs(rise) > _RISE:
+            found = [
+                (f"trunk rises or sinks {1e3 * abs(rise):.0f} mm/s faster than the model expects", _ROBOT)
+            ]
         if abs(lift) > _LIFT and "floor_overlap" not in cycle.belief:
             off = f"{1e3 * abs(lift):.0f} mm {'higher' if lift > 0.0 else 'lower'}"
             found.append((f"box's middle is {off} than half of its stated height", _BOX))
@@ -233,9 +233,8 @@ class History:
     @property
     def miss(self) -> float:
         """Rms distance of the joints from where they were expected, in sd of their noise; NaN: unknown."""
-        return (
-            float(np.sqrt(np.square(self._missed).mean()) / SensorNoise().joint) if self._missed else np.nan
-        )
+        missed = [one[0] for one in self._walked]
+        return float(np.sqrt(np.square(missed).mean()) / SensorNoise().joint) if missed else np.nan
 
     def _estimated(self, cycle: Cycle) -> dict[str, float]:
         """Interval and time of the newest estimate; {} before the first."""

@@ -116,11 +116,8 @@ class Sampler:
         seen = {key: series for key, series in measured.items() if key.startswith(("trunk.", "box."))}
         commands = {"command.position": measured["command.position"]}
         begun = -np.inf if self._last else estimate.time - 1e-6
-        samples = {
-            **since(own, begun),
-            **self._with_twists(since(seen, begun), estimate),
-            **since(commands, begun),
-        }
+        seen = self._with_twists(since(seen, begun), estimate)
+        samples = {**since(own, begun), **seen, **since(commands, begun)}
         self._last = estimate
         # single precision: half of a log's size, and more digits than any sensor has
         return {
@@ -277,17 +274,12 @@ def as_measured(task: Task, system: System) -> Task:
     box = replace(task.box, size=(depth, width, height))
     if box == task.box:
         return task
-    further = 0.5 * (_extent(box, task.path.heading) - _extent(task.box, task.path.heading))
+    turn = task.path.heading - box.yaw
+    along, across = abs(np.cos(turn)), abs(np.sin(turn))
+    further = 0.5 * (along * (depth - task.box.size[0]) + across * (width - task.box.size[1]))
     (x, y), (u, v) = box.position, (np.cos(task.path.heading), np.sin(task.path.heading))
     place = (float(x + further * u), float(y + further * v))
     return replace(task, box=replace(box, position=place), path=replace(task.path, start=place))
-
-
-def _extent(box: Box, heading: float) -> float:
-    """Extent of a box along a direction over the floor [m]."""
-    depth, width, _ = box.size
-    turn = heading - box.yaw
-    return float(abs(np.cos(turn)) * depth + abs(np.sin(turn)) * width)
 
 
 def controller_for(
@@ -335,11 +327,7 @@ def system_of(options: RunOptions, task: Task) -> System:
 
 
 def belief_source(
-    options: RunOptions,
-    task: Task,
-    system: System,
-    plant: Plant | None,
-    slow: float = 1.0,
+    options: RunOptions, task: Task, system: System, plant: Plant | None, slow: float = 1.0
 ) -> BeliefSource:
     """Source of the controller's belief: the plant, where there is one, fixed parameters, or an estimator.
 
@@ -434,14 +422,8 @@ _IMU = Signal(
 def recorder_of(run: Run, path: Path) -> Recorder:
     """The recorder of a run's log, with the metadata that say what the log shows."""
     options = run.options
-    metadata = {
-        "system": run.system.name,
-        "seed": str(options.seed),
-        "task": options.task,
-        "mode": options.mode,
-        "target": options.target,
-        "version": __version__,
-    }
+    metadata = {name: str(getattr(options, name)) for name in ("seed", "task", "mode", "target")}
+    metadata |= {"system": run.system.name, "version": __version__}
     known = {key: value for key, value in run.options.settings.items() if key == "parameters"}
     if stated := merged(measured(run.task), known):  # so that the reader of the log has the same model
         metadata["overrides"] = json.dumps(stated)

@@ -106,15 +106,11 @@ class Task:
         """What changes during the run, in words."""
         texts = []
         for change in self.changes:
-            when = (
-                f"from x = {change.beyond_x:g} m on"
-                if change.at_time is None
-                else f"from {change.at_time:g} s on"
-            )
+            when = f"{change.at_time:g} s" if change.at_time is not None else f"x = {change.beyond_x:g} m"
             if change.mass is not None:
-                texts.append(f"{when} the box weighs {change.mass:g} kg")
+                texts.append(f"from {when} on the box weighs {change.mass:g} kg")
             if change.floor_friction is not None:
-                texts.append(f"{when} the floor friction is {change.floor_friction:g}")
+                texts.append(f"from {when} on the floor friction is {change.floor_friction:g}")
         return texts
 
 

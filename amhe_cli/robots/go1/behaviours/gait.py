@@ -19,14 +19,7 @@ from numpy.typing import ArrayLike
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, columns, sealed
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.robots.go1.kinematics import (
-    FOOT_RADIUS,
-    HIP_OFFSET,
-    HIPS,
-    SIDE,
-    joint_angles,
-    posture,
-)
+from amhe_cli.robots.go1.kinematics import FOOT_RADIUS, HIP_OFFSET, HIPS, SIDE, joint_angles, posture
 from amhe_cli.robots.go1.state import GRAVITY
 
 #: Weight of the Go1's 12.743 kg [N].

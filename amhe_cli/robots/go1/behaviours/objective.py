@@ -128,12 +128,7 @@ def sweep_terms(
 
 
 def push_terms(
-    weights: PushWeights,
-    trunk: Body,
-    box: Body,
-    height: float,
-    at: Reference,
-    elapsed: FloatArray,
+    weights: PushWeights, trunk: Body, box: Body, height: float, at: Reference, elapsed: FloatArray
 ) -> dict[str, FloatArray]:
     """Terms of walking behind a box, each shape (..., H).
 

@@ -404,9 +404,7 @@ class Sweeping:
             return -min(max(self._start_y - y, 0.0), s.return_speed), 0.0
         if support_margin(self._planted, trunk) < s.margin:
             return 0.0, 0.0
-        if y - face >= s.touching:
-            return commanded, 0.0
-        return commanded, friction
+        return commanded, friction if y - face < s.touching else 0.0
 
     def running_cost(self, state: State) -> dict[str, float]:
         """Terms of the running cost of a realised state, measured against the task's fixed path."""
@@ -442,14 +440,9 @@ class Sweeping:
     def _reference(self, state: State) -> Reference:
         place = self.path.place(state.box.position[:2])
         speed = self.shape.speed * self.path.tapered(float(place.progress), self.taper)
-        return Reference(
-            time=state.time,
-            speed=speed if state.time >= self._begin else 0.0,
-            origin=self.path.nearest(state.box.position[:2], place),
-            heading=float(place.heading),
-            yaw=0.0,
-            box_yaw=self.path.heading + 0.5 * np.pi,
-        )
+        speed, origin = speed * (state.time >= self._begin), self.path.nearest(state.box.position[:2], place)
+        across = self.path.heading + 0.5 * np.pi
+        return Reference(state.time, speed, origin, float(place.heading), yaw=0.0, box_yaw=across)
 
     def _see_feet(self, stance: Plane, state: State) -> FloatArray:
         """All feet in the frame of the standing ones [m], shape (4, 3)."""

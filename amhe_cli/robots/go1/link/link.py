@@ -71,9 +71,7 @@ class SenderWatch:
     def _run(self) -> None:
         fault = "the program's own watch failed"
         try:
-            self.realtime = take_priority(
-                WATCH, anywhere=True
-            )  # a sender that hangs may take all of its core
+            self.realtime = take_priority(WATCH, anywhere=True)  # a sender that hangs may take all of a core
             fault = self._lost()
         finally:
             with self._robot:
@@ -169,11 +167,8 @@ class Link(Opened):
     @property
     def late(self) -> list[str]:
         """What has no real-time priority, of the sender and the watch over it."""
-        return [
-            name
-            for name, one in (("sender", self.report), ("watch", self._watch))
-            if one and not one.realtime
-        ]
+        both = {"sender": self.report, "watch": self._watch}
+        return [name for name, one in both.items() if one and not one.realtime]
 
     # -- the phases -----------------------------------------------------------------------------------
 

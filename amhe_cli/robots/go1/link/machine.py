@@ -137,14 +137,9 @@ class Machine:
             self._enter(then, now, state.joints if self._sent is None else self._sent)
 
     def _guard(self, now: float, inbox: Inbox, state: RobotState, wanted: FloatArray) -> None:
-        if self.phase == Phase.CONNECT:
-            if inbox.stop:
-                self._trip("order", inbox.stop, Phase.OVER, now)
-            return
-        if self.phase >= Phase.DAMP:
-            return
-        found = self._tripped(now, inbox, state, wanted)
-        if found:
+        if self.phase == Phase.CONNECT and inbox.stop:
+            self._trip("order", inbox.stop, Phase.OVER, now)
+        elif Phase.CONNECT < self.phase < Phase.DAMP and (found := self._tripped(now, inbox, state, wanted)):
             self._trip(*found, now)
 
     def _tripped(
@@ -172,9 +167,8 @@ class Machine:
         if inbox.share < limits.share:
             arrive = f"only {100 * inbox.share:.0f} % of the robot's states arrive"
             yield "share", f"{arrive}: another program talks to it, or the network loses packets"
-        if not np.isfinite(
-            state.joints.sum() + state.joint_rates.sum() + state.gyro.sum() + state.quaternion.sum()
-        ):
+        numbers = (state.joints, state.joint_rates, state.gyro, state.quaternion)
+        if not np.isfinite(sum(some.sum() for some in numbers)):
             yield "not_a_number", "the robot sends what is not a number"
         if not np.isfinite(self._jump.sum() + wanted.sum()):
             yield "not_a_number", "the plan is not a number"
@@ -257,9 +251,8 @@ class Machine:
             case Phase.SIT if elapsed < self._landing:
                 return eased(self._from, HOME, elapsed / self._landing)
             case Phase.SIT:
-                return eased(
-                    HOME, FOLDED, (elapsed - self._landing) / (self.settings.sit_time - self._landing)
-                )
+                sitting = self.settings.sit_time - self._landing
+                return eased(HOME, FOLDED, (elapsed - self._landing) / sitting)
         return self._from
 
     def _played(self, now: float, plan: Targets) -> FloatArray:
@@ -273,7 +266,8 @@ class Machine:
             if self._playing is None:
                 self._planned, self._first_plan = targets, tick
             before = self._planned
-            self._jump = _largest_step(np.vstack((targets - before, np.diff(plan.rows, axis=0))))
+            steps = np.vstack((targets - before, np.diff(plan.rows, axis=0)))  # not finite: a trip
+            self._jump = steps[np.abs(steps).argmax(axis=0), np.arange(steps.shape[1])]
             self._playing, self._blend = plan, (tick, before - targets)
         begun, offset = self._blend
         self._planned = targets + max(0.0, 1.0 - (now - begun) / _BLEND) * offset
@@ -293,8 +287,3 @@ class Machine:
         self._power_tick = state.tick
         over = power(state) > self.settings.trips.power
         self._over_power = self._over_power + 1 if over else max(0, self._over_power - 1)
-
-
-def _largest_step(steps: FloatArray) -> FloatArray:
-    """Largest step of each joint over the rows of (n, 12), shape (12,); not finite where a step is not."""
-    return steps[np.abs(steps).argmax(axis=0), np.arange(steps.shape[1])]

@@ -275,10 +275,9 @@ class Intervals:
         if not total:
             return {"packets": 0}
         upto = np.cumsum(self._counts) / total
-        quantiles = {
-            name: round(1e3 * _BIN * (int(np.searchsorted(upto, share)) + 1), 2)
-            for name, share in (("p50_ms", 0.5), ("p99_ms", 0.99), ("p999_ms", 0.999))
-        }
+        shares = {"p50_ms": 0.5, "p99_ms": 0.99, "p999_ms": 0.999}
+        bins = {name: int(np.searchsorted(upto, share)) for name, share in shares.items()}
+        quantiles = {name: round(1e3 * _BIN * (at + 1), 2) for name, at in bins.items()}
         return {"packets": total + 1, **quantiles, "max_ms": round(1e3 * self._longest, 2)}
 
 
@@ -342,11 +341,8 @@ class Sender:
 
     def say(self, reason: str, phase: Phase = Phase.OVER) -> None:
         """Report an end for a reason, which is the last of our reports if its phase is the last."""
-        self._machine.trip, self._machine.reason = (
-            self._machine.trip or "error",
-            self._machine.reason or reason,
-        )
-        self._machine.phase = phase
+        machine = self._machine
+        machine.trip, machine.reason, machine.phase = machine.trip or "error", machine.reason or reason, phase
         self._report(self._clock.now())
 
     # -- what comes in --------------------------------------------------------------------------------

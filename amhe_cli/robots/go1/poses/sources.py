@@ -225,12 +225,8 @@ def read_pose(message: bytes) -> Sighting | None:
     try:
         content = json.loads(message)
         stamp = content.get("time")
-        return sighting(
-            str(content["body"]),
-            content["position"],
-            content["orientation"],
-            None if stamp is None else float(stamp),
-        )
+        stamp = None if stamp is None else float(stamp)
+        return sighting(str(content["body"]), content["position"], content["orientation"], stamp)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
         return None
 

@@ -200,11 +200,8 @@ class Witness:
         places = np.array([one.position for one in box])
         moved = float(np.linalg.norm((places[-1] - places[0])[:2]))
         sd = np.sqrt(2.0 * _noise(places) ** 2 + _FACE**2)
-        return (
-            f"the box moves by {100.0 * moved:.1f} cm, and nothing touches it"
-            if moved > self._gate * sd
-            else ""
-        )
+        words = f"the box moves by {100.0 * moved:.1f} cm, and nothing touches it"
+        return words if moved > self._gate * sd else ""
 
     def _gap(self, trunk: list[Seen], box: list[Seen]) -> float:
         """Distance of the box from bumper and feet [m]; negative: they would be inside it by that."""

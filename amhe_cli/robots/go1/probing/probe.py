@@ -117,13 +117,7 @@ class PushProbe:
             "straight push",
         )
 
-    def run(
-        self,
-        plan: ProbePlan,
-        path: Path,
-        stopped: Callable[[], bool],
-        say: Say,
-    ) -> Ending:
+    def run(self, plan: ProbePlan, path: Path, stopped: Callable[[], bool], say: Say) -> Ending:
         """See `Probe`: closed-loop on the task's own box, or the robot's.
 
         The controller begins with the belief, and an estimator updates it meanwhile: a robot that pushes a
