@@ -222,43 +222,35 @@ class ParameterSpace:
         """The systematic part of a belief's covariance in z, shape (d, d); 0 of what it does not know."""
         if belief.systematic is None:
             return np.zeros((len(self), len(self)))
-        place = self._place_in(belief)
+        place = self._own(belief) / self.prior_sd[:, None]
         return place @ belief.systematic @ place.T
 
     def owed_of(self, belief: GaussianBelief) -> dict[str, FloatArray]:
         """The errors of known causes in a belief, in z, shape (d,); 0 of what it does not know."""
-        place = self._place_in(belief)
-        return {cause: place @ error for cause, error in belief.owed.items()}
+        own = self._own(belief)
+        return {cause: own @ error / self.prior_sd for cause, error in belief.owed.items()}
 
-    def _place_in(self, belief: GaussianBelief) -> FloatArray:
-        """What turns errors of a belief's phi (b,) into errors of z (d,), shape (d, b)."""
-        own = np.array([[name == other for other in belief.names] for name in self.names], dtype=np.float64)
-        return own / self.prior_sd[:, None]
+    def _own(self, belief: GaussianBelief) -> FloatArray:
+        """1 where a parameter is one of a belief's, else 0, shape (d, b)."""
+        return np.array([[name == other for other in belief.names] for name in self.names], dtype=np.float64)
 
     def with_prior(self, belief: GaussianBelief) -> ParameterSpace:
         """The same parameters with a belief's estimate and covariance as their prior.
 
         Parameters that the belief does not know keep their own prior.
         """
-        known = {name: i for i, name in enumerate(belief.names)}
+        known, own = {name: i for i, name in enumerate(belief.names)}, self._own(belief)
         sd = np.sqrt(np.diag(belief.covariance))
-        shared = [(column, known[name]) for column, name in enumerate(self.names) if name in known]
-        correlation = np.eye(len(self))
-        for i, a in shared:
-            for j, b in shared:
-                if i != j and sd[a] * sd[b] > 0.0:
-                    correlation[i, j] = belief.covariance[a, b] / (sd[a] * sd[b])
-        found = ParameterSpace(
-            tuple(
-                p
-                if p.name not in known
-                else replace(
-                    p, nominal=float(belief.estimate[known[p.name]]), prior_sd=float(sd[known[p.name]])
-                )
-                for p in self.parameters
-            ),
-            rows_of(correlation),
+        scale = np.outer(sd, sd)
+        correlation = own @ (belief.covariance / np.where(scale > 0.0, scale, 1.0)) @ own.T
+        np.fill_diagonal(correlation, 1.0)
+        parameters = tuple(
+            replace(p, nominal=float(belief.estimate[known[p.name]]), prior_sd=float(sd[known[p.name]]))
+            if p.name in known
+            else p
+            for p in self.parameters
         )
+        found = ParameterSpace(parameters, rows_of(correlation))
         if belief.systematic is None:
             return found
         owed = tuple((cause, tuple(error.tolist())) for cause, error in found.owed_of(belief).items())
