@@ -8,7 +8,8 @@ clip's first-state error e (in units of its sd) are rolled out, and the residual
 as ensemble Kalman smoothers do (Evensen, Raanes and Stordal 2019). The samples of e follow what is known of
 it: its prior at first, and its posterior where a search has one already (posterior linearisation,
 Garcia-Fernandez et al. 2015), since a contact that is missed by a millimetre lies on no straight line. Where
-contacts make the model non-smooth, r is the mean over the samples; elsewhere, r is the residual itself.
+contacts make the model non-smooth, r is the mean over the samples (`averaged`); elsewhere, r is the residual
+itself.
 `information` turns the slopes into information of the clips about z.
 
 Samples are z + S w with w of unit variance: their shape S follows the valleys of the posterior. Where
@@ -241,10 +242,9 @@ class Linearisation:
 
     Args:
         cost: The matching cost on the clips.
-        residual: Residuals at (z, first), or their mean over the samples about it, shape (c, R).
-        centre: Residuals at (z, first) itself, shape (c, R).
-        gain: Slopes by the d coordinates of z and the nx of the first state, shape (c, d + nx, R); for a
-            non-smooth model freed of jitter.
+        residual: Residuals at (z, first), shape (c, R).
+        lift: By how much their mean over the samples is larger, shape (c, R).
+        gain: Slopes by the d coordinates of z and the nx of the first state, shape (c, d + nx, R).
         curves: Nonlinear (even) response to each of h pairs of samples, 0 for pairs that diverged, shape
             (h, c, R); numpy's or on the engine's device. None of samples to one side.
         bend: Mean square of the nonlinear response (bend), shape (c, R).
@@ -256,7 +256,7 @@ class Linearisation:
 
     cost: MatchingCost
     residual: FloatArray
-    centre: FloatArray
+    lift: FloatArray
     gain: FloatArray
     curves: AnyArray
     bend: FloatArray
@@ -275,7 +275,6 @@ def linearise(
     samples: int,
     rng: np.random.Generator,
     *,
-    averaged: bool = False,
     straight: bool = False,
     sparsity: Sparsity | None = None,
 ) -> Linearisation:
@@ -288,7 +287,6 @@ def linearise(
         shape: Samples are z + shape w with w of unit variance, shape (d, d).
         samples: Number of candidates; raised to two for each unknown of one residual.
         rng: Draws the directions.
-        averaged: Return the samples' mean as the residual, for a non-smooth model, instead of the centre.
         straight: Take short steps to one side instead of pairs, where samples have shown that hardly anything
             bends in them: half of the rollouts, and no bend.
         sparsity: What the unknowns move, where they do not move everything.
@@ -309,14 +307,13 @@ def linearise(
         # the middle of a pair may not be z either, and its share of the even response is linear
         curves = even - _predicted(gain[:, :d], middles, even)
         lift, bend = _moments(curves, pairs[:, :bent])
-        centre = to_host(residuals.stacked[-1])
         return Linearisation(
             cost=cost,
-            residual=centre + averaged * lift,
-            centre=centre,
+            residual=to_host(residuals.stacked[-1]),
+            lift=lift,
             gain=gain,
             curves=curves * namespace_of(curves).asarray(pairs.T[:bent, :, None]),
-            bend=np.maximum(bend - lift**2, 0.0) if averaged else bend,  # rounding leaves less than nothing
+            bend=bend,
             first=first,
             pairs=directions[:, :d],
             completed=residuals.completed[-1] & (pairs.sum(axis=1) >= 0.75 * half),
@@ -330,9 +327,24 @@ def linearise(
     pieces = ((clips, of_clips(cost.of(clips), first.of(clips))) for clips in parts)
     # where nothing touches, a step is none the worse for slopes of seven digits
     kept_as = np.float64 if moves is None else np.float32
-    found = of_clips(cost, first) if len(parts) == 1 else _joined(cost, first, pieces, kept_as)
-    # what all clips know of the jitter, whether or not they took turns
-    return replace(found, gain=_freed(found, shape)) if averaged else found
+    return of_clips(cost, first) if len(parts) == 1 else _joined(cost, first, pieces, kept_as)
+
+
+def averaged(found: Linearisation, shape: FloatArray) -> Linearisation:
+    """The same of a non-smooth model: residuals in the mean over the samples, and slopes freed of jitter.
+
+    Args:
+        found: From pairs of samples.
+        shape: Shape of the samples of z, (d, d).
+    """
+    bend = np.maximum(found.bend - found.lift**2, 0.0)  # rounding leaves less than nothing
+    found = replace(found, residual=found.residual + found.lift, bend=bend)
+    freed, own, first = np.zeros_like(found.gain), found.completed, found.first.shape
+    gz, gx = np.split(found.gain[own], [len(shape)], axis=1)
+    slopes = np.concatenate((shape.T @ gz, first[own].transpose(0, 2, 1) @ gx), axis=1)
+    slopes = without_jitter(slopes, found.bend[own], len(found.pairs), len(shape))
+    freed[own] = _by_coordinates(slopes, shape, first[own])
+    return replace(found, gain=freed)
 
 
 def _samples(
@@ -374,7 +386,7 @@ def _joined(
     whole: dict[str, AnyArray] = {}
     rollouts = diverged = 0
     for clips, part in parts:
-        arrays = {name: getattr(part, name) for name in ("residual", "centre", "gain", "bend", "completed")}
+        arrays = {name: getattr(part, name) for name in ("residual", "lift", "gain", "bend", "completed")}
         arrays["curves"] = to_host(part.curves).swapaxes(0, 1)
         for name, values in arrays.items():
             if name not in whole:
@@ -472,16 +484,6 @@ def bent_by_z(found: Linearisation) -> FloatArray:
     bent = np.zeros_like(found.bend)
     bent[own] = (np.einsum("hd,cdr->hcr", squares, slopes) ** 2).mean(axis=0)
     return bent
-
-
-def _freed(found: Linearisation, shape: FloatArray) -> FloatArray:
-    """Slopes (c, d + nx, R) of pairs of samples of a shape S (d, d), without jitter."""
-    freed, own, first = np.zeros_like(found.gain), found.completed, found.first.shape
-    gz, gx = np.split(found.gain[own], [len(shape)], axis=1)
-    slopes = np.concatenate((shape.T @ gz, first[own].transpose(0, 2, 1) @ gx), axis=1)
-    slopes = without_jitter(slopes, found.bend[own], len(found.pairs), len(shape))
-    freed[own] = _by_coordinates(slopes, shape, first[own])
-    return freed
 
 
 def without_jitter(slopes: FloatArray, jitter: FloatArray, pairs: int, d: int) -> FloatArray:

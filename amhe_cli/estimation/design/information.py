@@ -60,7 +60,7 @@ def information_at(
     first = FirstStates.recorded(len(problem.clips), 0) if as_recorded else problem.recorded(cost)
     shape = np.diag(sampling_width(problem.system.space, setting.step) * problem.active)
     # of a few seconds, what is freed of jitter would say less than a log of the usual length will
-    found = problem.linearised(cost, z, first, shape, rng, averaged=False)
+    found = problem.sampled(cost, z, first, shape, rng)
     return information(rescaled(found, fitted_noise_scale(found, information(found), {})))
 
 
@@ -72,7 +72,7 @@ def rescaled(found: Linearisation, scale: Mapping[str, float]) -> Linearisation:
     return replace(
         found,
         residual=found.residual / factor,
-        centre=found.centre / factor,
+        lift=found.lift / factor,
         gain=found.gain / factor,
         curves=found.curves / namespace_of(found.curves).asarray(factor),
         bend=found.bend / factor**2,

@@ -20,6 +20,7 @@ from amhe_cli.estimation.core.linearise import (
     FirstStates,
     Linearisation,
     Sparsity,
+    averaged,
     diagonal,
     linearise,
     sampling_width,
@@ -179,28 +180,30 @@ class Problem:
         rng: np.random.Generator,
         *,
         straight: bool = False,
-        averaged: bool | None = None,
+    ) -> Linearisation:
+        """Slopes as `sampled`, `averaged` where the model is not smooth."""
+        found = self.sampled(cost, z, first, shape, rng, straight=straight)
+        return averaged(found, shape) if self.non_smooth else found
+
+    def sampled(
+        self,
+        cost: MatchingCost,
+        z: FloatArray,
+        first: FirstStates,
+        shape: FloatArray,
+        rng: np.random.Generator,
+        *,
+        straight: bool = False,
     ) -> Linearisation:
         """Slopes of a cost about z (d,) and first-state errors, from samples of a shape (d, d).
-
-        They are `averaged`, and freed of jitter, where the model is not smooth, unless that is given.
 
         Efforts along a motion never jitter: the shortest steps give their slopes exactly, where wider ones
         would bend along the valleys of numbers that only together are known well.
         """
         if self.system.match == "effort":
             straight, shape = True, SHORTEST * shape
-        return linearise(
-            cost,
-            z,
-            first,
-            shape,
-            self.settings.identify.samples,
-            rng,
-            averaged=self.non_smooth if averaged is None else averaged,
-            straight=straight,
-            sparsity=self.sparsity,
-        )
+        samples = self.settings.identify.samples
+        return linearise(cost, z, first, shape, samples, rng, straight=straight, sparsity=self.sparsity)
 
     def recorded(self, cost: MatchingCost) -> FirstStates:
         """First states of a cost's clips as recorded; without errors where the settings fit none."""

@@ -105,7 +105,7 @@ class Considered:
         after = cost.upon(engine, system).residuals(z[None])
         if not after.completed.all():
             return np.zeros(z.size)
-        pull = fit.slope @ (info.weight[0] * (after.flat[0] - fit.slopes.centre)[0])
+        pull = fit.slope @ (info.weight[0] * (after.flat[0] - fit.slopes.residual)[0])
         return -np.linalg.solve(info.matrix[0] + np.eye(z.size), pull)
 
 

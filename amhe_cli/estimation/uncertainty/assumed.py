@@ -324,7 +324,6 @@ class _Nuisances:
         slopes = replace(
             fit.slopes,
             residual=there.flat[1] + rest,
-            centre=there.flat[1] + rest,
             first=replace(fit.slopes.first, mean=means[1]),
             completed=fit.slopes.completed & there.completed[1],
         )
@@ -364,7 +363,7 @@ class _Nuisances:
         z = np.concatenate((fit.z + steps @ moves.T, at + steps), axis=1)
         first = fit.slopes.first.mean + np.einsum("pk,cxk->pcx", steps, turns)
         residuals = self._cost.residuals(z, first if first.shape[2] else None)
-        middle, other = (0.0, fit.slopes.centre) if straight else (steps[k:], residuals.flat[k:])
+        middle, other = (0.0, fit.slopes.residual) if straight else (steps[k:], residuals.flat[k:])
         change = np.tensordot(np.linalg.inv(steps[:k] - middle), residuals.flat[:k] - other, 1).swapaxes(0, 1)
         gz, gx = np.split(fit.slopes.gain, [len(fit.z)], axis=1)
         return change - np.einsum("dk,cdr->ckr", moves, gz) - np.einsum("cxk,cxr->ckr", turns, gx)
