@@ -173,6 +173,14 @@ class Starts:
         return np.concatenate(taken)
 
 
+def delayed(inputs: FloatArray, delays: FloatArray) -> FloatArray:
+    """Inputs (n, nu) at each of n steps under a delay of each [steps], shape (nu,); the ends are held."""
+    late, steps = np.array(inputs), np.arange(len(inputs))
+    for column in np.flatnonzero(delays):
+        late[:, column] = np.interp(steps - delays[column], steps, inputs[:, column])
+    return late
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Wanted:
     """Numbers to pick from the rollouts of c clips, at most s times on each.

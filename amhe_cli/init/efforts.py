@@ -25,7 +25,7 @@ from amhe_cli.init.signals import (
 )
 from amhe_cli.logs import read_signals
 from amhe_cli.system.description.efforts import unpowered_text
-from amhe_cli.system.model.elements import commanded, floats, names_of
+from amhe_cli.system.model.elements import commanded, floats, heaviest_part, names_of
 
 #: Dry friction, viscous friction at 1 rad/s, and a sensor's zero: sd, as a share of the torque's range.
 _FRICTION, _ZERO = 0.05, 0.03
@@ -158,8 +158,7 @@ def effort_parameters(model: mujoco.MjModel, ranges: Mapping[str, float]) -> Ite
     """
     links = {int(model.joint(joint).bodyid[0]) for joint in ranges}
     for link in sorted(links):
-        parts = np.flatnonzero(model.body_weldid == model.body_weldid[link])
-        row = int(parts[np.argmax(model.body_mass[parts])])
+        row = heaviest_part(model, link)
         name = model.body(row).name
         if name and model.body_mass[row] > 0.0:
             known: dict[str, Any] = {"prior_sd": _LINK}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,6 +14,7 @@ import yaml
 from amhe_cli.core import rotations
 from amhe_cli.core.corrections import resolution
 from amhe_cli.core.errors import AmheError, ConfigError
+from amhe_cli.core.files import filling
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Series
 from amhe_cli.core.yaml_file import merged
@@ -238,9 +238,7 @@ def init_system(
     if out.exists() and not force and any(out.iterdir()):
         raise ConfigError(f"{out}: is not empty; choose another folder, or give `force=True`")
     made = proposed(model_path, logs, msg_path, urdf, actuators, group, gains, backlash, elastic, drives)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as scratch:
-        folder = Path(scratch)
+    with filling(out) as folder:
         name = copy_model(made.spec, model_path, folder, rewrite=made.rewrite)
         head = (name, model_path.name, [str(log) for log in logs])
         geared = geared_joints(compiled(made.spec), moved_by(made.guesses))
@@ -248,10 +246,6 @@ def init_system(
         text = system_text(*head, made.guesses, made.parameters, *rest)
         (folder / FILE_NAME).write_text(text)
         System.load(folder, warn=False)  # what is written is valid, or it is not written
-        for file in sorted(path for path in folder.rglob("*") if path.is_file()):
-            place = out / file.relative_to(folder)
-            place.parent.mkdir(parents=True, exist_ok=True)
-            file.replace(place)
     return made
 
 

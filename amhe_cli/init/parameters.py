@@ -22,7 +22,7 @@ from amhe_cli.init.drives import (
 )
 from amhe_cli.init.names import words
 from amhe_cli.init.signals import Guess, free_bodies, joint_of
-from amhe_cli.system.model.elements import names_of
+from amhe_cli.system.model.elements import heaviest_part, names_of
 
 #: More joints than this share the parameters of equal drives.
 _OWN = 3
@@ -100,8 +100,7 @@ def _masses(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Gues
 def _weighty(model: mujoco.MjModel, body: str) -> str:
     """A free body, or the heaviest part of it if it is an empty frame, as the root of a URDF often is."""
     row = model.body(body).id
-    parts = np.flatnonzero(model.body_weldid == model.body_weldid[row])
-    heaviest = int(parts[np.argmax(model.body_mass[parts])])
+    heaviest = heaviest_part(model, row)
     empty = model.body_mass[row] < _WORTHWHILE * model.body_mass[heaviest]
     return model.body(heaviest).name if empty else body
 

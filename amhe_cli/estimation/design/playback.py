@@ -13,7 +13,7 @@ from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.log import Log, Samples
 from amhe_cli.core.signals import Series, Signal
 from amhe_cli.engine.bounds import Bounds, Broken, joint_at_limit
-from amhe_cli.engine.rollout import Engine
+from amhe_cli.engine.rollout import Engine, delayed
 from amhe_cli.engine.states import home
 from amhe_cli.logs import LogWriter
 from amhe_cli.logs.convert import Columns, joined, write_csv
@@ -59,7 +59,8 @@ class Playback:
         steps = round((last + 1) * self.period / self.dt)  # of any length: a plant's may not divide the 20 ms
         playing = np.minimum((np.arange(steps) * self.dt / self.period + 1e-9).astype(np.int64), last)
         inputs = controls[:, playing]
-        acting = self._late(theta, inputs)
+        delays = np.broadcast_to(system.edits.delays(theta) / self.dt, (len(theta), inputs.shape[2]))
+        acting = np.stack([delayed(one, late) for one, late in zip(inputs, delays, strict=True)])
         qpos, _ = home(system.model, system.keyframe, system.input_spec)
         count = len(inputs)
         start = np.tile(qpos, (count, 1)), np.zeros((count, system.model.nv))
@@ -86,15 +87,6 @@ class Playback:
                 broken = self.bounds.broken(theta[i], rollouts.qpos[i], rollouts.qvel[i], acting[i])
             logs.append(broken or Log(self.dt, series, "a simulated probe"))
         return logs
-
-    def _late(self, theta: FloatArray, inputs: FloatArray) -> FloatArray:
-        """Inputs (p, steps, nu) when they act: after the delay of each; a part of a step is interpolated."""
-        steps = np.arange(inputs.shape[1])[:, None]
-        delays = np.broadcast_to(self.system.edits.delays(theta), (len(theta), inputs.shape[2]))
-        whole, part = np.divmod(delays[:, None] / self.dt, 1.0)
-        rows = np.maximum(steps - whole.astype(np.int64), 0)
-        now, before = (np.take_along_axis(inputs, np.maximum(rows - k, 0), axis=1) for k in (0, 1))
-        return (1.0 - part) * now + part * before
 
 
 def _measured(channel: Channel, states: FloatArray, rows: IntArray, rng: np.random.Generator) -> Series:

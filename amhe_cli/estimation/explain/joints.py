@@ -21,7 +21,7 @@ from amhe_cli.estimation.explain.candidate import (
     signed,
     times,
 )
-from amhe_cli.system.model.elements import axis_in
+from amhe_cli.system.model.elements import axis_in, heaviest_part
 
 #: Numbers of a joint that may be wrong: kind -> what it is, with '#' for its size; field and column of the
 #: model, and its word in `set:`; against what it is drawn.
@@ -164,8 +164,7 @@ def _off_axis(maker: CauseMaker, j: MeasuredDof, along: FloatArray) -> dict[str,
         along: The force by sine and cosine of its angle, shape (2,).
     """
     model = maker.model
-    parts = np.flatnonzero(model.body_weldid == model.body_weldid[model.jnt_bodyid[j.joint]])
-    body = int(parts[np.argmax(model.body_mass[parts])])
+    body = heaviest_part(model, int(model.jnt_bodyid[j.joint]))
     across = np.argsort(np.abs(axis_in(model, j.joint, body)))[:2]
     weight, name = float(model.body_mass[body]) * _GRAVITY, model.body(body).name
     if not weight or not name or any(maker.free("body_ipos", body, int(i)) for i in across):

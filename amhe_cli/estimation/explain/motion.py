@@ -16,6 +16,7 @@ from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.each_log import values_on
 from amhe_cli.core.errors import LogError
 from amhe_cli.core.log import Log, Window
+from amhe_cli.engine.rollout import delayed
 from amhe_cli.engine.states import controls, filters, first_activations, home
 from amhe_cli.matching.motion import motion_of
 from amhe_cli.matching.windows import driving
@@ -168,9 +169,7 @@ def _driven(system: System, log: Log, theta: FloatArray, width: int) -> tuple[Fl
         values = driving(source, log)
         inputs[:, list(source.columns)] = np.where(np.isfinite(values), values, 0.0)
     late = np.broadcast_to(system.edits.delays(own)[0] / log.dt, inputs.shape[1:])
-    rows = np.arange(log.steps)
-    for column in np.flatnonzero(late):
-        inputs[:, column] = np.interp(rows - late[column], rows, inputs[:, column])
+    inputs = delayed(inputs, late)
     act = _activations(system, inputs, log.dt)
     weights = np.ones(width + 1 - width % 2)  # symmetric: an input acts about its row
     weights[[0, -1]] = 0.5 + 0.5 * (width % 2)

@@ -90,6 +90,12 @@ def driven_joint(model: mujoco.MjModel, actuator: int) -> str | None:
     return model.joint(int(model.actuator_trnid[actuator, 0])).name or None
 
 
+def heaviest_part(model: mujoco.MjModel, body: int) -> int:
+    """The heaviest of the bodies that are welded to one: a body of a URDF may be an empty frame."""
+    parts = np.flatnonzero(model.body_weldid == model.body_weldid[body])
+    return int(parts[np.argmax(model.body_mass[parts])])
+
+
 def axis_in(model: mujoco.MjModel, joint: int, body: int) -> FloatArray:
     """A joint's axis in the frame of a body that is fixed to the joint's own, shape (3,)."""
     data = mujoco.MjData(model)
