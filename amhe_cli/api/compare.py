@@ -13,6 +13,7 @@ import numpy as np
 from amhe_cli import __version__
 from amhe_cli.api.arguments import checked
 from amhe_cli.api.identify import Result, collected_warnings, identify
+from amhe_cli.core.belief import gaussian_of
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.open import open_engine
@@ -205,7 +206,7 @@ def scored(
             continue
         errors = [
             errors_of(
-                system, [row[i] for row in usable], engines[i], system.space.gaussian_of(result.validated)[0]
+                system, [row[i] for row in usable], engines[i], gaussian_of(system.space, result.validated)[0]
             )
             for i, (system, result) in enumerate(zip(systems, results, strict=True))
         ]

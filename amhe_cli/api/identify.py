@@ -18,7 +18,7 @@ import numpy as np
 from amhe_cli import __version__
 from amhe_cli.api.arguments import checked
 from amhe_cli.core.arrays import sealed
-from amhe_cli.core.belief import Belief, belief_of
+from amhe_cli.core.belief import Belief, belief_of, with_prior
 from amhe_cli.core.each_log import check_logs, fixing
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.log import Log
@@ -95,7 +95,7 @@ class Result:
 
     def model(self) -> mujoco.MjModel:
         """A MuJoCo model with the identified values; sensors that amhe needed are in it too."""
-        return self.system.edits.apply(self.system.model, self.system.space.with_prior(self.belief).nominal)
+        return self.system.edits.apply(self.system.model, with_prior(self.system.space, self.belief).nominal)
 
     def record(self) -> dict[str, Any]:
         """The keys of an identification in result.json."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from amhe_cli.api.export import system_of
-from amhe_cli.core.belief import Belief, belief_for, belief_of
+from amhe_cli.core.belief import Belief, belief_for, belief_of, gaussian_of, systematic_of
 from amhe_cli.core.errors import ConfigError, EstimationError
 from amhe_cli.estimation.core.agreement import Agreement, agreement, pairs, pooled
 from amhe_cli.system.provenance import now, versions
@@ -66,8 +66,10 @@ def pool(
     opened = system_of(read[0], names[0], system)
     known = [belief_for(opened, one, belief_anyway) for one in read]
     space = opened.space
-    means, covariances = (np.array(each) for each in zip(*map(space.gaussian_of, known), strict=True))
-    systematic = np.array([space.systematic_of(one) for one in known])
+    means, covariances = (
+        np.array(each) for each in zip(*(gaussian_of(space, one) for one in known), strict=True)
+    )
+    systematic = np.array([systematic_of(space, one) for one in known])
     found = agreement(means, covariances, space.prior_precision)
     differences = tuple(pairs(names, found, space.names))
     if found.chance < CHANCE:

@@ -15,6 +15,7 @@ from amhe_cli.audit.suspects import Explanation, Searched, findings_of, rows_of,
 from amhe_cli.audit.weight import anywhere, weights
 from amhe_cli.check.motion import states_along
 from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.belief import with_prior
 from amhe_cli.core.errors import ConfigError, EstimationError, LogError
 from amhe_cli.core.log import Log
 from amhe_cli.core.parameters import theta_of
@@ -288,7 +289,7 @@ def _weights(
     system: System, found: Identification, claims: Sequence[Claim], wrong: BoolArray, logs: Sequence[Log]
 ) -> list[float]:
     """What each contradicted number is worth: forces along the motion if it alone were as in the file."""
-    model = system.edits.apply(system.model, system.space.with_prior(found.belief).nominal)
+    model = system.edits.apply(system.model, with_prior(system.space, found.belief).nominal)
     numbers = [claim.number for claim, bad in zip(claims, wrong, strict=True) if bad]
     others = [number.written(model, number.values(system.model)) for number in numbers]
     try:

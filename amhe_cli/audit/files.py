@@ -12,7 +12,7 @@ from amhe_cli.audit.claims import sheet_of
 from amhe_cli.audit.judge import chances, contradicted
 from amhe_cli.audit.weight import anywhere, weights
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.belief import Belief
+from amhe_cli.core.belief import Belief, with_prior
 from amhe_cli.core.parameters import theta_of
 from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.init.names import matched
@@ -130,7 +130,7 @@ def held_against(system: System, belief: Belief, file: mujoco.MjModel) -> list[L
         belief: What it found.
         file: The model of the file; names are matched as between two files.
     """
-    space = system.space.with_prior(belief)
+    space = with_prior(system.space, belief)
     model = system.edits.apply(system.model, space.nominal)
     theirs = {(n.kind, n.of, n.what): n for n in numbers_of(model)}
     pairs, rows, others = partners(file, model)[0], list[tuple[ModelNumber, FloatArray]](), []

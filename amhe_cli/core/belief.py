@@ -18,7 +18,7 @@ from amhe_cli.core.arrays import FloatArray, sealed
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.files import write_whole
 from amhe_cli.core.mistakes import validated
-from amhe_cli.core.parameters import Described, phi_of, theta_of
+from amhe_cli.core.parameters import Described, ParameterSpace, phi_of, rows_of, theta_of
 from amhe_cli.core.shown import Displayed
 from amhe_cli.core.statistics import Z90
 from amhe_cli.core.yaml_file import Place, YamlFile, dumped
@@ -201,6 +201,55 @@ def belief_of(
     )
 
 
+def with_prior(space: ParameterSpace, belief: Belief) -> ParameterSpace:
+    """The same parameters with a belief's estimate and covariance as their prior.
+
+    Parameters that the belief does not know keep their own prior.
+    """
+    known, own = {name: i for i, name in enumerate(belief.names)}, _own(space, belief)
+    sd = np.sqrt(np.diag(belief.covariance))
+    scale = np.outer(sd, sd)
+    correlation = own @ (belief.covariance / np.where(scale > 0.0, scale, 1.0)) @ own.T
+    np.fill_diagonal(correlation, 1.0)
+    parameters = tuple(
+        replace(p, nominal=float(belief.estimate[known[p.name]]), prior_sd=float(sd[known[p.name]]))
+        if p.name in known
+        else p
+        for p in space.parameters
+    )
+    found = ParameterSpace(parameters, rows_of(correlation))
+    if belief.systematic is None:
+        return found
+    owed = tuple((cause, tuple(error.tolist())) for cause, error in _owed_of(found, belief).items())
+    return replace(found, prior_systematic=rows_of(systematic_of(found, belief)), prior_owed=owed)
+
+
+def gaussian_of(space: ParameterSpace, belief: Belief) -> tuple[FloatArray, FloatArray]:
+    """Mean z (d,) and covariance (d, d) of a belief; what it does not know has its prior."""
+    known = with_prior(space, belief)
+    scale = known.prior_sd / space.prior_sd
+    return space.z_of(known.nominal), known.prior_covariance * np.outer(scale, scale)
+
+
+def systematic_of(space: ParameterSpace, belief: Belief) -> FloatArray:
+    """The systematic part of a belief's covariance in z, shape (d, d); 0 of what it does not know."""
+    if belief.systematic is None:
+        return np.zeros((len(space), len(space)))
+    place = _own(space, belief) / space.prior_sd[:, None]
+    return place @ belief.systematic @ place.T
+
+
+def _owed_of(space: ParameterSpace, belief: Belief) -> dict[str, FloatArray]:
+    """The errors of known causes in a belief, in z, shape (d,); 0 of what it does not know."""
+    own = _own(space, belief)
+    return {cause: own @ error / space.prior_sd for cause, error in belief.owed.items()}
+
+
+def _own(space: ParameterSpace, belief: Belief) -> FloatArray:
+    """1 where a parameter is one of a belief's, else 0, shape (d, b)."""
+    return np.array([[name == other for other in belief.names] for name in space.names], dtype=np.float64)
+
+
 def held_by(belief: Belief) -> dict[str, dict[str, float]]:
     """Settings of a system whose parameters are held at a belief's values, and how well these are known.
 
@@ -213,9 +262,10 @@ def held_by(belief: Belief) -> dict[str, dict[str, float]]:
 
 def completed(belief: Belief, system: Described) -> Belief:
     """A belief over all parameters of a system: what it does not know has its prior."""
-    systematic = None if belief.systematic is None else system.space.systematic_of(belief)
-    gaussian, owed = system.space.gaussian_of(belief), system.space.owed_of(belief)
-    return belief_of(system, *gaussian, dict(belief.provenance), systematic, owed)
+    space, whole = system.space, belief.systematic is not None
+    systematic = systematic_of(space, belief) if whole else None
+    gaussian = gaussian_of(space, belief)
+    return belief_of(system, *gaussian, dict(belief.provenance), systematic, _owed_of(space, belief))
 
 
 #: Version of the layout of belief files.

@@ -75,35 +75,6 @@ def rows_of(matrix: FloatArray) -> Rows:
     return tuple(tuple(map(float, row)) for row in matrix)
 
 
-class GaussianBelief(Protocol):
-    """A Gaussian over parameters, as a `Belief` is: its estimate is of theta, its covariances are of phi."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters, length d."""
-        ...
-
-    @property
-    def estimate(self) -> FloatArray:
-        """Estimated values theta, shape (d,)."""
-        ...
-
-    @property
-    def covariance(self) -> FloatArray:
-        """Covariance of phi, shape (d, d)."""
-        ...
-
-    @property
-    def systematic(self) -> FloatArray | None:
-        """The part of it that comes from the model, shape (d, d); None: none is known."""
-        ...
-
-    @property
-    def owed(self) -> Mapping[str, FloatArray]:
-        """Of this part, the errors of known causes, by the cause, one sd long each, shape (d,)."""
-        ...
-
-
 @dataclass(frozen=True)
 class ParameterSpace:
     """An ordered set of parameters; arrays of theta and z have shape (..., d).
@@ -211,50 +182,6 @@ class ParameterSpace:
         )
         owed = tuple((cause, tuple(error[i] for i in kept)) for cause, error in self.prior_owed)
         return ParameterSpace(tuple(self.parameters[i] for i in kept), *rows, prior_owed=owed)
-
-    def gaussian_of(self, belief: GaussianBelief) -> tuple[FloatArray, FloatArray]:
-        """Mean z (d,) and covariance (d, d) of a belief; what it does not know has its prior."""
-        known = self.with_prior(belief)
-        scale = known.prior_sd / self.prior_sd
-        return self.z_of(known.nominal), known.prior_covariance * np.outer(scale, scale)
-
-    def systematic_of(self, belief: GaussianBelief) -> FloatArray:
-        """The systematic part of a belief's covariance in z, shape (d, d); 0 of what it does not know."""
-        if belief.systematic is None:
-            return np.zeros((len(self), len(self)))
-        place = self._own(belief) / self.prior_sd[:, None]
-        return place @ belief.systematic @ place.T
-
-    def owed_of(self, belief: GaussianBelief) -> dict[str, FloatArray]:
-        """The errors of known causes in a belief, in z, shape (d,); 0 of what it does not know."""
-        own = self._own(belief)
-        return {cause: own @ error / self.prior_sd for cause, error in belief.owed.items()}
-
-    def _own(self, belief: GaussianBelief) -> FloatArray:
-        """1 where a parameter is one of a belief's, else 0, shape (d, b)."""
-        return np.array([[name == other for other in belief.names] for name in self.names], dtype=np.float64)
-
-    def with_prior(self, belief: GaussianBelief) -> ParameterSpace:
-        """The same parameters with a belief's estimate and covariance as their prior.
-
-        Parameters that the belief does not know keep their own prior.
-        """
-        known, own = {name: i for i, name in enumerate(belief.names)}, self._own(belief)
-        sd = np.sqrt(np.diag(belief.covariance))
-        scale = np.outer(sd, sd)
-        correlation = own @ (belief.covariance / np.where(scale > 0.0, scale, 1.0)) @ own.T
-        np.fill_diagonal(correlation, 1.0)
-        parameters = tuple(
-            replace(p, nominal=float(belief.estimate[known[p.name]]), prior_sd=float(sd[known[p.name]]))
-            if p.name in known
-            else p
-            for p in self.parameters
-        )
-        found = ParameterSpace(parameters, rows_of(correlation))
-        if belief.systematic is None:
-            return found
-        owed = tuple((cause, tuple(error.tolist())) for cause, error in found.owed_of(belief).items())
-        return replace(found, prior_systematic=rows_of(found.systematic_of(belief)), prior_owed=owed)
 
 
 class Described(Protocol):

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
-from amhe_cli.core.belief import Belief
+from amhe_cli.core.belief import Belief, with_prior
 from amhe_cli.core.each_log import named, searched
 from amhe_cli.core.errors import NOTE, ConfigError, EstimationError, LogError, and_more, one_of
 from amhe_cli.core.log import Log, Window, in_order
@@ -123,7 +123,7 @@ def searched_for(
     if options.method not in METHODS:
         raise ConfigError(f"`method`: {one_of('method', options.method, METHODS)}")
     if options.prior is not None:
-        system = replace(system, space=system.space.with_prior(options.prior))
+        system = replace(system, space=with_prior(system.space, options.prior))
     training, model = named(training), system.space
     system = replace(system, space=searched(model, training))
     training = in_order(training)

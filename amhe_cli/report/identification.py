@@ -13,7 +13,7 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from amhe_cli.core.belief import Belief, belief_text
+from amhe_cli.core.belief import Belief, belief_text, with_prior
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.files import json_text, plain
 from amhe_cli.core.yaml_file import YamlFile
@@ -136,7 +136,7 @@ def write_identification(
     """
     contents = {
         "belief.yaml": belief_text(replace(belief, provenance=provenance)),
-        "identified.xml": identified_xml(system, system.space.with_prior(belief).nominal),
+        "identified.xml": identified_xml(system, with_prior(system.space, belief).nominal),
         "result.json": json_text(record),
     }
     contents |= {"view.html": seen.page} if seen.page else {}

@@ -18,7 +18,7 @@ import numpy as np
 
 from amhe_cli import __version__
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.belief import Belief
+from amhe_cli.core.belief import Belief, with_prior
 from amhe_cli.core.errors import AmheError, ConfigError, Ending, EstimationError, SimulationError
 from amhe_cli.core.log import Log, sampled
 from amhe_cli.core.settings import Settings
@@ -136,7 +136,7 @@ def believing(system: System, options: ProbeOptions) -> System:
     system, belief = system.starting_from(
         options.belief, fix=options.fix, only=options.only, belief_anyway=options.belief_anyway
     )
-    return system if belief is None else replace(system, space=system.space.with_prior(belief))
+    return system if belief is None else replace(system, space=with_prior(system.space, belief))
 
 
 def achieved(system: System, path: Path, options: ProbeOptions) -> Accuracy | None:

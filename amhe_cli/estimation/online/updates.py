@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, to_host
-from amhe_cli.core.belief import Belief
+from amhe_cli.core.belief import Belief, gaussian_of
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.settings import MheSettings
 from amhe_cli.core.statistics import log_rank_weights, sd_of_one
@@ -79,7 +79,7 @@ def prior_of(space: ParameterSpace, belief: Belief | None, least_sd: float) -> G
     """
     if belief is None:
         return Gaussian(np.zeros(len(space)), np.array(space.prior_covariance))
-    return Gaussian(*space.gaussian_of(belief)).floored(space.in_z(least_sd))
+    return Gaussian(*gaussian_of(space, belief)).floored(space.in_z(least_sd))
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ import numpy as np
 
 from amhe_cli import __version__
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.belief import Belief
+from amhe_cli.core.belief import Belief, with_prior
 from amhe_cli.core.statistics import correlation
 from amhe_cli.system.parameters.gear_friction import GearFriction
 from amhe_cli.system.parameters.servos import OF_SERVO, SERVOS
@@ -167,7 +167,7 @@ class Tool:
 
 def randomisation(system: System, belief: Belief, tool: Tool) -> str:
     """Python file of a belief's intervals as events of a tool, and of its actuators."""
-    space = system.space.with_prior(belief)
+    space = with_prior(system.space, belief)
     low, high = (np.array([getattr(p, end) for p in space.parameters]) for end in ("lower", "upper"))
     theta = np.clip(belief.sample(DRAWS, SEED), low, high)
     model = system.edits.apply(system.model, space.nominal)

@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 
-from amhe_cli.core.belief import Belief, belief_of
+from amhe_cli.core.belief import Belief, belief_of, gaussian_of
 from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon
 from amhe_cli.estimation.online.workers import InProcess, InStep, Trouble
 from amhe_cli.system.description.folders import find_system
@@ -22,7 +22,7 @@ class Puppet:
     """An estimator that does what the window says, and counts up from the belief that it begins with."""
 
     def __init__(self, belief: Belief | None = None) -> None:
-        self.count = 0.0 if belief is None else float(SYSTEM.space.gaussian_of(belief)[0][0])
+        self.count = 0.0 if belief is None else float(gaussian_of(SYSTEM.space, belief)[0][0])
 
     def update(self, window: str, at: float, budget: float | None = None) -> Estimate:
         self.count += 1

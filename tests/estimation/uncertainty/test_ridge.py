@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import amhe_cli as amhe
+from amhe_cli.core.belief import with_prior
 from amhe_cli.core.log import Log
 from amhe_cli.core.signals import Series
 from amhe_cli.estimation.identification import IdentifyOptions, identify
@@ -109,7 +110,7 @@ def test_declared_errors_go_together_as_the_posterior_does(system):
 def test_a_belief_hands_the_ratio_on(system):
     """The ratio that one log knows is still known to the next, though each parameter is not."""
     first = identify(system, [drive(system, [3.0, 1.0])], None, IdentifyOptions())
-    space = system.space.with_prior(first.belief)
+    space = with_prior(system.space, first.belief)
     handed = space.prior_covariance * np.outer(space.prior_sd, space.prior_sd)
     assert handed == pytest.approx(first.belief.covariance, rel=1e-9)
     second = identify(system, [drive(system, [3.0, 1.0], seed=1)], None, IdentifyOptions(prior=first.belief))
