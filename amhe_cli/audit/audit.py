@@ -139,12 +139,13 @@ def audit(
 
     # rollouts of all clips take their time, and data sheets are held against what some of them say
     search, wrong, again = None, frozenset[Group](), partial(searched, None, None)
+    seen = list[Explanation]()
     for clips, length in ((None, None),) if proposal.match == "effort" else _CLIPS:
         if search is not None and search.watch.interrupted:
             break
-        again = partial(searched, clips, length)
+        again, seen = partial(searched, clips, length), []
         try:
-            search, wrong = without_suspects(again, claims, wrong, search)
+            search, wrong = without_suspects(again, claims, wrong, search, seen=seen)
         except KeyboardInterrupt:
             if search is None:
                 raise
@@ -153,10 +154,10 @@ def audit(
             if length is None:
                 raise
             again = partial(searched, _SLOW, None)
-            search, wrong = without_suspects(again, claims, wrong, search)
+            search, wrong = without_suspects(again, claims, wrong, search, seen=seen)
     assert search is not None
     look = again if proposal.match == "effort" else partial(searched, _LOOK, None)
-    found, judgement, at = _concluded(again, look, Explanation(search, wrong, claims))
+    found, judgement, at = _concluded(again, look, Explanation(search, wrong, claims), seen)
     system = at.search.problem.system
     lines = _lines(system, found, claims, judgement, logs)
     return Audit(tuple(lines), system, found, tuple(claims), proposal)
@@ -177,10 +178,14 @@ class _Judgement:
 
 
 def _concluded(
-    searched: Searched, looked: Searched, first: Explanation
+    searched: Searched, looked: Searched, first: Explanation, seen: Sequence[Explanation]
 ) -> tuple[Identification, _Judgement, Explanation]:
-    """The best explanation, and its claims judged: what it contradicts has been believed once."""
-    others, tested, decided = list[Explanation](), set[Group](), set[Group]()
+    """The best explanation, and its claims judged: what it contradicts has been believed once.
+
+    What was `seen` on the way to it counts by its evidence.
+    """
+    others = [one for one in (replace(one, likely=one.against(first)) for one in seen) if not one.hopeless]
+    tested, decided = set[Group](), set[Group]()
     found = concluded(first.search, quick=True)
     judgement = _judgement(found, first, others, decided)
     try:
@@ -215,12 +220,16 @@ def _judgement(
     """The test of each claim, over explanations by their evidence.
 
     Whether a sheet is right that searches `decided`, they say themselves, and not what is linear about them.
+    Where held-out clips are missed more than fitted ones, by more than chance, fitted ones leave less than
+    the next motion would: the noise is taken to be what held-out ones leave.
     """
     space = first.search.problem.system.space
     at = space.phi_of(found.belief.estimate)
     evidence = findings_of(space, at, found.unbounded, found.information, found.belief.covariance)
-    tests, free = [], np.array([])
-    for one, findings in ((first, evidence), *((other, other.evidence) for other in others)):
+    wider, tests, free = max(_misses(found).values(), default=1.0), [], np.array([])
+    evidence = evidence.under_noise(wider)
+    for one in (first, *others):
+        findings = evidence if one is first else one.evidence.under_noise(wider)
         system = one.search.problem.system
         sheets, rows = sheets_of(findings, system, one.claims), rows_of(system, one.claims)
         sets = wrong_sheets(findings, sheets, one.wrong)
@@ -232,7 +241,7 @@ def _judgement(
             free = chances(
                 said(opened, rows, sheets.file[rows], sheets.right[rows], system.space.log[rows], least).t
             )
-    share = np.exp([first.likely, *(other.likely for other in others)])
+    share = np.exp(np.array([first.likely, *(other.likely for other in others)]) / wider**2)
     chance = share @ np.array([each for _, each in tests]) / share.sum()
     return _Judgement(evidence, tests[0][0], chance, free)
 
@@ -304,7 +313,17 @@ def _unjudged(found: Identification) -> str:
     """Why no number is judged; '' where numbers are."""
     if found.interrupted:
         return "the search was interrupted, and its values are the best so far"
-    return "no value explains these logs, and none can be judged by them" if found.unexplained else ""
+    return "no value explains these logs, and none can be judged by them" if unexplained(found) else ""
+
+
+def unexplained(found: Identification) -> tuple[str, ...]:
+    """Why no number can be judged; held-out clips that are missed more make every sd wider instead."""
+    return found.unexplained if len(found.unexplained) > len(_misses(found)) else ()
+
+
+def _misses(found: Identification) -> Mapping[str, float]:
+    """Channel -> how many times as much held-out clips are missed as fitted ones."""
+    return found.held_out.misses if found.held_out else {}
 
 
 def _cure(system: System, found: Identification, evidence: Findings, claim: Claim) -> str:

@@ -90,6 +90,16 @@ class Findings:
         covariance = known + self.covariance - self.known()
         return Findings(mean, np.array([self.prior[0], sd]), self.information, covariance, self.at)
 
+    def under_noise(self, scale: float) -> Findings:
+        """The same logs, as far as they are linear, if the sd of what they leave is larger by a factor."""
+        score, precision = self.score() / scale**2, np.diag(self.prior[1] ** -2.0)
+        information = self.information / scale**2
+        known = np.linalg.inv(information + precision)
+        covariance = known + scale**2 * (self.covariance - self.known())
+        return Findings(
+            known @ (score + precision @ self.prior[0]), self.prior, information, covariance, self.at
+        )
+
     def score(self) -> FloatArray:
         """Information times what the logs alone would say, shape (d,)."""
         return self.information @ self.mean + self.prior[1] ** -2.0 * (self.mean - self.prior[0])

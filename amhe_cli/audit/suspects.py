@@ -20,6 +20,7 @@ from amhe_cli.audit.judge import ODDS, Findings, Sheets, wrong_sheets
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.estimation.conclude import Search
+from amhe_cli.estimation.core.information import clip_objectives
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.uncertainty.fit import FinalFit, scored
@@ -73,7 +74,7 @@ class Explanation:
         for one, sheets in ((self, frozenset() if least else self.wrong), (first, first.wrong)):
             space, z = one.search.problem.system.space, one.search.finding.z
             sd, off = one.sheets.sd(sheets), space.phi_of(space.theta_of(z)) - one.sheets.file
-            cost = _misfit(first.search.fit, space.theta_of(z), self.search.problem if least else None)
+            cost = _misfit(first.search.fit, one.search, self.search.problem if least else None)
             if not (least and one is self):
                 cost += float(((off / sd) ** 2).sum()) + 2.0 * ODDS * len(sheets)
             spread = np.eye(len(sd)) + sd[:, None] * first.evidence.information * sd
@@ -103,16 +104,22 @@ class Explanation:
         return replace(other, likely=other.against(self))
 
 
-def _misfit(fit: FinalFit, theta: FloatArray, few: Problem | None) -> float:
-    """-2 log likelihood of values theta (d,), but for a constant, under the noise that a fit has left.
+def _misfit(fit: FinalFit, of: Search, few: Problem | None) -> float:
+    """-2 log likelihood of the values that a search found, but for a constant, under the noise of a fit.
 
-    `few`: a problem with the clips that count, in place of the fit's own.
+    `few`: a problem with the clips that count, in place of the fit's own. First states are those of the
+    search where it has fitted the same clips.
     """
-    problem = few or fit.problem
+    problem, own = few or fit.problem, of.fit
     space, weight = problem.system.space, np.ones(len(problem.clips)) if few else fit.weight
-    cost, shape = problem.cost(problem.clips, fit.finding.scale), fit.shape
-    shape = (fit.space.prior_sd / space.prior_sd)[:, None] * shape
-    each = scored(problem, cost, space.z_of(theta), shape).misfit(fit.times)
+    cost, z = problem.cost(problem.clips, fit.finding.scale), space.z_of(own.space.theta_of(own.z))
+    if own.problem.clips == problem.clips:
+        first = own.information.first(np.zeros((1, len(z))))
+        residuals = cost.residuals(z[None], first if first.shape[2] else None)
+        each = clip_objectives(cost, residuals, first, fit.times)[0]
+    else:
+        shape = (fit.space.prior_sd / space.prior_sd)[:, None] * fit.shape
+        each = scored(problem, cost, z, shape).misfit(fit.times)
     return float(np.where(weight > 0.0, each, 0.0) @ weight)
 
 
@@ -133,10 +140,11 @@ def without_suspects(
     wrong: frozenset[Group],
     near: Search | None,
     right: frozenset[Group] = frozenset(),
+    seen: list[Explanation] | None = None,
 ) -> tuple[Search, frozenset[Group]]:
     """The search that believes what its own linearisation calls right, and the data sheets that it does not.
 
-    The sheets `right` are believed, whatever it calls them.
+    The sheets `right` are believed, whatever it calls them. `seen`: gets what else was searched on the way.
 
     A linearisation may err far from its minimum: where the evidence falls with the sheets that it calls
     wrong, one of them at a time is tried, and where it still falls, that one is believed.
@@ -159,7 +167,11 @@ def without_suspects(
             if likely not in tried:
                 tried.add(likely)
                 other = _ended(searched(likely, begin))
-                if Explanation(other, likely, claims).against(Explanation(search, wrong, claims)) > 0.0:
+                here, there = Explanation(search, wrong, claims), Explanation(other, likely, claims)
+                better = here.against(there) < 0.0  # under the noise of the new one: misfit is no noise
+                if seen is not None:
+                    seen.append(here if better else there)
+                if better:
                     search, wrong, refused, aside = other, likely, frozenset(), frozenset()
                     continue
             elif len(new) < 2:

@@ -101,6 +101,7 @@ def _logs(session: Session, model: Path, given: Given) -> None:
     from dataclasses import replace
 
     from amhe_cli.audit.audit import audit as run
+    from amhe_cli.audit.audit import unexplained
     from amhe_cli.cli.inputs import urdf_options
     from amhe_cli.cli.progress import of_search, progress
     from amhe_cli.cli.settings import NONE
@@ -138,7 +139,7 @@ def _logs(session: Session, model: Path, given: Given) -> None:
         found = audited(first)
     except EstimationError as error:
         failed = error
-    missed = free and (found is None or (found.found.unexplained and not found.found.interrupted))
+    missed = free and (found is None or (unexplained(found.found) and not found.found.interrupted))
     if missed and (other := proposal(False)).match == "motion":
         logging.getLogger(__name__).warning(
             "no value explains what the log has as torques: the motion under the commands is compared "

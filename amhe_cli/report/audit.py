@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from amhe_cli.audit.audit import VERDICTS, Audit, Line
+from amhe_cli.audit.audit import VERDICTS, Audit, Line, unexplained
 from amhe_cli.audit.files import FileDifference, FilesCompared
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.files import json_text, plain
@@ -70,7 +70,8 @@ def audit_text(lines: Sequence[Line], found: Audit | None, out: object = None) -
 
 def _against(found: Identification) -> Iterator[str]:
     """What speaks against all numbers of a table."""
-    yield from (f"the logs are not explained: {text}" for text in found.unexplained)
+    against = "the logs are not explained" if unexplained(found) else "every sd is so much wider"
+    yield from (f"{against}: {text}" for text in found.unexplained)
     if found.interrupted:
         yield "the search was interrupted: these are the best values so far"
     elif not found.settled:

@@ -134,7 +134,9 @@ def test_where_the_evidence_falls_with_several_sheets_each_of_them_is_tried(
     monkeypatch.setattr(suspects, "wrong_sheets", sets)
     monkeypatch.setattr(suspects, "_straight", lambda search: straight)
     monkeypatch.setattr(suspects, "Explanation", Known)
-    assert suspects.without_suspects(searched, [], frozenset(), None)[1] == {right}
+    seen: list[Any] = []
+    assert suspects.without_suspects(searched, [], frozenset(), None, seen=seen)[1] == {right}
+    assert {one.wrong for one in seen} == set(asked) - {frozenset(right)}  # each of them has its evidence
     assert (frozenset("abc") in asked) == straight  # slopes that bend say one sheet at a time
 
 
@@ -153,7 +155,7 @@ def test_a_search_that_is_interrupted_keeps_what_was_found_before(monkeypatch: p
         suspects, "wrong_sheets", lambda _, __, wrong, right: {wrong | {str(len(wrong))}: 1.0}
     )
     monkeypatch.setattr(suspects, "_straight", lambda search: True)
-    better = SimpleNamespace(against=lambda _: 1.0)
+    better = SimpleNamespace(against=lambda _: -1.0)
     monkeypatch.setattr(suspects, "Explanation", lambda *_: better)
     found, wrong = suspects.without_suspects(searched, [], frozenset(), None)
     assert found.watch.interrupted and wrong == {"0"} and len(asked) == 3
@@ -166,7 +168,7 @@ def test_an_interruption_before_the_second_search_begins_keeps_the_first(
         problem=SimpleNamespace(system="model"), watch=SimpleNamespace(interrupted=False), interrupted=True
     )
 
-    def without_suspects(searched, claims, wrong, near) -> Any:
+    def without_suspects(searched, claims, wrong, near, seen) -> Any:
         if near is not None:
             raise KeyboardInterrupt
         return first, wrong

@@ -65,6 +65,19 @@ def test_more_errors_than_noise_widen_what_a_log_says() -> None:
     )
 
 
+def test_noise_of_twice_the_sd_is_a_quarter_of_the_information() -> None:
+    rng = np.random.default_rng(5)
+    (information, noise), truth, sheet = drawn(rng, 3), rng.standard_normal(3), np.array([0.5, 1.0, 2.0])
+    more = np.diag([0.01, 0.02, 0.03])  # of other terms of the ledger
+    one, other = (
+        findings(m, truth, sheet, n) for m, n in ((information, noise), (information / 4, noise / 4))
+    )
+    one, other = (replace(f, covariance=f.covariance + k * more) for f, k in ((one, 1.0), (other, 4.0)))
+    wider = one.under_noise(2.0)
+    for name in ("mean", "prior", "information", "covariance"):
+        assert np.allclose(getattr(wider, name), getattr(other, name))
+
+
 def test_a_log_that_says_nothing_contradicts_nothing() -> None:
     found = findings(np.zeros((2, 2)), np.array([5.0, 5.0]), np.ones(2), np.zeros(2))
     logged = said(found, [0, 1], np.zeros(2), np.ones(2), linear(2))

@@ -191,6 +191,7 @@ class HeldOut:
     Args:
         fitted_cost, initial_fitted_cost: NaN: not computed.
         noise_scale: Channel -> residual sd over declared noise sd, first states fitted.
+        misses: Channel -> how many times as much it is missed as in fitted clips, where that is not chance.
         errors: Each channel's error over all of the clips, then over spans of time.
         horizons: Error of each joint and pose against the horizon.
     """
@@ -205,6 +206,7 @@ class HeldOut:
     fitted_cost: float = math.nan
     initial_fitted_cost: float = math.nan
     noise_scale: Mapping[str, float] = field(default_factory=dict)
+    misses: Mapping[str, float] = field(default_factory=dict)
     errors: tuple[SpanError, ...] = ()
     horizons: tuple[HorizonError, ...] = ()
 

@@ -137,7 +137,7 @@ def judge(fit: FinalFit, windows: Sequence[Window], held_out: HeldOut) -> tuple[
             f"held-out clips fit worse than under the prior: with first states fitted, their cost goes from "
             f"{costs[1]:.3g} to {costs[0]:.3g}"
         )
-    scale, fitted = {}, {}
+    scale, fitted, misses = {}, {}, {}
     if alike := _fitted_clips(problem, windows):
         same = problem.cost(alike, fit.scale)
         losses = scored(problem, same, fit.z, fit.shape).losses
@@ -149,6 +149,7 @@ def judge(fit: FinalFit, windows: Sequence[Window], held_out: HeldOut) -> tuple[
             fit.scale.get(key, 1.0) * float(np.sqrt(held.mean() / observed.width)) if held.size else np.nan
         )
         if key in fitted and (ratio := misses_more(held, fitted[key])) is not None:
+            misses[key] = ratio
             against.append(
                 f"the model misses {key} of held-out clips {ratio:.1f} times as much as of fitted ones"
             )
@@ -162,7 +163,12 @@ def judge(fit: FinalFit, windows: Sequence[Window], held_out: HeldOut) -> tuple[
             for recorded, span in zip(errors, _spans(cost, tuple(both)), strict=True)
         )
     judged = replace(
-        held_out, fitted_cost=costs[0], initial_fitted_cost=costs[1], noise_scale=scale, errors=errors
+        held_out,
+        fitted_cost=costs[0],
+        initial_fitted_cost=costs[1],
+        noise_scale=scale,
+        misses=misses,
+        errors=errors,
     )
     return judged, tuple(against)
 
