@@ -46,7 +46,7 @@ def check(session: Session, given: Given) -> int | None:
     from amhe_cli.check.model import check_model, total_mass
     from amhe_cli.check.motion import log_findings, motions
     from amhe_cli.cli.inputs import model_file, urdf_options
-    from amhe_cli.cli.required import missed_of
+    from amhe_cli.cli.required import matching, missed_of, names_of
     from amhe_cli.core.files import write_whole
     from amhe_cli.estimation.design.expected import expected
     from amhe_cli.report.check import check_page, expected_record, print_expected, print_findings
@@ -61,6 +61,7 @@ def check(session: Session, given: Given) -> int | None:
     if given.logs:
         session.listed = texts = []
         system, read = _read(given.inputs, path, given.logs, not given.no_meshes)
+        matching(names_of(system), given.require)
         moved = motions(system, read)
         found += log_findings(system, read, moved)
         found += _recorded(system, read, texts)

@@ -175,7 +175,7 @@ def test_the_example_prints_what_the_readme_shows(tmp_path: Path, capsys: pytest
 def test_half_of_the_demos_log_identifies_the_box(tmp_path: Path) -> None:
     """With first states as recorded: as unknowns they take four times as long."""
     out = tmp_path / "out"
-    quick = ("--set", "identify.first_state=never")
+    quick = ("--set=identify.first_state=never", "--set=clips.count=3", "--set=identify.iterations=6")
     assert run(["identify", "example:t1", "--to", "7", "-o", str(out), "-q", *quick]) == 0
     found = json.loads((out / "result.json").read_text())
     known = {p["name"]: p for p in found["parameters"]}
