@@ -142,7 +142,7 @@ def _near(problem: Problem) -> tuple[FinalFit, int]:
         first = state.first or problem.recorded(slopes.cost)
         mean = first.mean[None] if first.mean.size else None
         there = slopes.cost.residuals(state.z[None], mean).flat[0]
-        slopes = replace(slopes, residual=there, centre=there, first=first)
+        slopes = replace(slopes, residual=there, first=first)
     rollouts = sum(one.rollouts for one in state.record) + slopes.rollouts
     return fit_of(problem, state, slopes, state.shape, state.scale), rollouts
 
