@@ -56,8 +56,10 @@ def check(session: Session, given: Given) -> int | None:
         raise click.UsageError("--require is about what a log will tell: give a LOG")
     given.refuse_existing(given.page)
     path = model_file(given.model)
+    session.listed = texts = []
     made = compiled(read_spec(path, urdf_options(path, not given.no_meshes)), path.name)
-    found, moved, hope, missed = list(check_model(made)), (), None, []
+    session.listed = None
+    found, moved, hope, missed = [*check_model(made), *_read_with(path, texts)], (), None, []
     if given.logs:
         session.listed = texts = []
         system, read = _read(given.inputs, path, given.logs, not given.no_meshes)
@@ -87,6 +89,16 @@ def check(session: Session, given: Given) -> int | None:
         for text in missed:
             console.print(f"not reached: {text}", style="yellow")
     return LOSSY if missed else None
+
+
+def _read_with(path: Path, texts: Sequence[str]) -> Iterator[Finding]:
+    """What was reported when a model was read: an inertia that no body has, a joint that is left out."""
+    from amhe_cli.check.findings import WRONG, Finding
+    from amhe_cli.cli.advice import entry_of
+
+    for text in dict.fromkeys(texts):
+        cure = f"amhe help {entry_of(text)}" if entry_of(text) else "put it right in the model"
+        yield Finding("file", path.name, text.removeprefix(f"{path}: "), WRONG, cure)
 
 
 def _recorded(system: System, logs: Sequence[Log], texts: Sequence[str]) -> Iterator[Finding]:

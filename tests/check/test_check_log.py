@@ -303,3 +303,8 @@ def test_a_urdf_is_checked_too(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert run(["check", str(tmp_path / "arm.urdf")]) == 0
     out = capsys.readouterr().out
     assert "arm: 42.9 kg in a box of 100 x 100 x 100 mm: denser than lead" in out
+    impossible = text.replace('izz="1e-3"', 'izz="9e-3"').replace("42.9", "3")
+    (tmp_path / "arm.urdf").write_text(impossible)
+    assert run(["check", str(tmp_path / "arm.urdf"), "--json"]) == 0
+    first = json.loads(capsys.readouterr().out)["findings"][0]
+    assert first["kind"] == "file" and first["what"].startswith("no body has the inertia of link")
