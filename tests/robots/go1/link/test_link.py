@@ -124,7 +124,8 @@ def test_the_robots_clock_begins_again_at_its_end(puppet: Puppet) -> None:
         stamps = np.array([sample["time"] for sample in link.samples()])
     assert begun < stamps[0] < stamps[-1] < CLOCK.now()
     assert stamps[-1] - stamps[0] > 0.6
-    assert (np.diff(stamps) > 0).all()
+    # a packet that is less late than all before it moves the stamps back; the clock's end would by 50 days
+    assert np.abs(np.diff(stamps)).max() < 1.0
 
 
 @pytest.mark.parametrize(
