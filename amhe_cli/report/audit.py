@@ -70,8 +70,11 @@ def audit_text(lines: Sequence[Line], found: Audit | None, out: object = None) -
 
 def _against(found: Identification) -> Iterator[str]:
     """What speaks against all numbers of a table."""
-    against = "the logs are not explained" if unexplained(found) else "every sd is so much wider"
-    yield from (f"{against}: {text}" for text in found.unexplained)
+    refused = unexplained(found)
+    for text in found.unexplained:
+        yield (
+            f"the logs are not explained: {text}" if refused else f"{text}: every sd is wider by that factor"
+        )
     if found.interrupted:
         yield "the search was interrupted: these are the best values so far"
     elif not found.settled:
