@@ -153,7 +153,7 @@ def audit(
         except EstimationError:
             if length is None:
                 raise
-            again = partial(searched, _SLOW, None)
+            again, seen = partial(searched, _SLOW, None), []
             search, wrong = without_suspects(again, claims, wrong, search, seen=seen)
     assert search is not None
     look = again if proposal.match == "effort" else partial(searched, _LOOK, None)
@@ -227,6 +227,7 @@ def _judgement(
     at = space.phi_of(found.belief.estimate)
     evidence = findings_of(space, at, found.unbounded, found.information, found.belief.covariance)
     wider, tests, free = max(_misses(found).values(), default=1.0), [], np.array([])
+    likely = [0.0, *(one.likely if wider == 1.0 else one.against(first, wider=wider) for one in others)]
     evidence = evidence.under_noise(wider)
     for one in (first, *others):
         findings = evidence if one is first else one.evidence.under_noise(wider)
@@ -241,7 +242,7 @@ def _judgement(
             free = chances(
                 said(opened, rows, sheets.file[rows], sheets.right[rows], system.space.log[rows], least).t
             )
-    share = np.exp(np.array([first.likely, *(other.likely for other in others)]) / wider**2)
+    share = np.exp(np.array(likely) - max(likely))
     chance = share @ np.array([each for _, each in tests]) / share.sum()
     return _Judgement(evidence, tests[0][0], chance, free)
 

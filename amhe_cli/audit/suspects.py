@@ -65,19 +65,20 @@ class Explanation:
         """The data sheets."""
         return sheets_of(self.evidence, self.search.problem.system, self.claims)
 
-    def against(self, first: Explanation, least: bool = False) -> float:
+    def against(self, first: Explanation, least: bool = False, wider: float = 1.0) -> float:
         """Logarithm of the odds to the first explanation, by Laplace's approximation of their evidence.
 
         `least`: the most that they can be by this one's clips and values, whatever sheets were wrong.
+        `wider`: noise of so many times the sd that the first has left.
         """
         both = []
         for one, sheets in ((self, frozenset() if least else self.wrong), (first, first.wrong)):
             space, z = one.search.problem.system.space, one.search.finding.z
             sd, off = one.sheets.sd(sheets), space.phi_of(space.theta_of(z)) - one.sheets.file
-            cost = _misfit(first.search.fit, one.search, self.search.problem if least else None)
+            cost = _misfit(first.search.fit, one.search, self.search.problem if least else None) / wider**2
             if not (least and one is self):
                 cost += float(((off / sd) ** 2).sum()) + 2.0 * ODDS * len(sheets)
-            spread = np.eye(len(sd)) + sd[:, None] * first.evidence.information * sd
+            spread = np.eye(len(sd)) + sd[:, None] * (first.evidence.information / wider**2) * sd
             both.append(-0.5 * (cost + float(np.linalg.slogdet(spread)[1])))
         return both[0] - both[1]
 
@@ -113,7 +114,7 @@ def _misfit(fit: FinalFit, of: Search, few: Problem | None) -> float:
     problem, own = few or fit.problem, of.fit
     space, weight = problem.system.space, np.ones(len(problem.clips)) if few else fit.weight
     cost, z = problem.cost(problem.clips, fit.finding.scale), space.z_of(own.space.theta_of(own.z))
-    if own.problem.clips == problem.clips:
+    if _places(own.problem) == _places(problem):
         first = own.information.first(np.zeros((1, len(z))))
         residuals = cost.residuals(z[None], first if first.shape[2] else None)
         each = clip_objectives(cost, residuals, first, fit.times)[0]
@@ -121,6 +122,11 @@ def _misfit(fit: FinalFit, of: Search, few: Problem | None) -> float:
         shape = (fit.space.prior_sd / space.prior_sd)[:, None] * fit.shape
         each = scored(problem, cost, z, shape).misfit(fit.times)
     return float(np.where(weight > 0.0, each, 0.0) @ weight)
+
+
+def _places(problem: Problem) -> list[tuple[str, int, int]]:
+    """Log, start and length of each clip: each search cuts clips of its own from the same logs."""
+    return [(clip.log.source, clip.start, clip.length) for clip in problem.clips]
 
 
 def _ended(search: Search) -> Search:

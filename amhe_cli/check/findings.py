@@ -11,7 +11,7 @@ from amhe_cli.core.errors import and_more
 _EACH, _NAMED = 3, 6
 #: Share of its range by which a joint or its targets may go beyond it: noise and soft stops do.
 BEYOND = 0.1
-#: Size of what was tested, and found wrong, in a log.
+#: Size of what is wrong for certain, or was tested, in a file or a log.
 WRONG = 3.0
 
 #: Kind of a doubt, what it is about, the doubt, and its size: a finding is one of a size above 1.
@@ -34,7 +34,7 @@ _CURES = {
     "loose": "a placeholder? Give the limit of the motor behind its gear",
     "axes": "take the inertia's axes from CAD, in the frame of the link",
     "unmeasured": "log it: without, each clip starts it at rest where the model has it at home",
-    "slow": "record more samples a second: faster motion than half of that is lost",
+    "slow": "record more samples a second: motion faster than half of their rate is lost",
     "still": "move it: `amhe probe` writes an excitation",
     "gaps": "pauses between runs do no harm; else record without silences, or loosen `logs.max_gap`",
     "saturated": "then its gain cannot be determined: command smaller steps, or is the gain wrong?",

@@ -56,17 +56,17 @@ def check(session: Session, given: Given) -> int | None:
         raise click.UsageError("--require is about what a log will tell: give a LOG")
     given.refuse_existing(given.page)
     path = model_file(given.model)
-    session.listed = texts = []
+    session.listed = of_model = []
     made = compiled(read_spec(path, urdf_options(path, not given.no_meshes)), path.name)
     session.listed = None
-    found, moved, hope, missed = [*check_model(made), *_read_with(path, texts)], (), None, []
+    found, moved, hope, missed = [*check_model(made), *_read_with(path, of_model)], (), None, []
     if given.logs:
         session.listed = texts = []
         system, read = _read(given.inputs, path, given.logs, not given.no_meshes)
         matching(names_of(system), given.require)
         moved = motions(system, read)
         found += log_findings(system, read, moved)
-        found += _recorded(system, read, texts)
+        found += _recorded(system, read, [text for text in texts if text not in of_model])
         hope = expected(system, read)
         session.listed = None
         missed = missed_of((*hope.parameters, *hope.bodies), given.require, "expected to be known")

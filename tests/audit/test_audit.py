@@ -15,6 +15,7 @@ import pytest
 from amhe_cli.audit import audit as module
 from amhe_cli.audit import suspects
 from amhe_cli.audit.audit import audit
+from amhe_cli.audit.judge import ODDS, Sheets
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.engine.inverse import forces_along
@@ -212,6 +213,52 @@ def test_an_interruption_of_a_second_explanation_ends_the_audit() -> None:
     first.__dict__["sheets"] = SimpleNamespace(groups={("arm", "mass"): [0]}, file=np.zeros(1))
     with pytest.raises(KeyboardInterrupt):
         first.rival(lambda *_: searching(False), lambda *_: searching(True), ("arm", "mass"))
+
+
+@pytest.mark.parametrize("wider", [1.0, 2.0])
+def test_wider_noise_makes_less_of_a_misfit_and_leaves_the_odds_of_sheets(
+    monkeypatch: pytest.MonkeyPatch, wider: float
+) -> None:
+    space = SimpleNamespace(phi_of=np.asarray, theta_of=np.asarray)
+    problem = SimpleNamespace(system=SimpleNamespace(space=space))
+
+    def explained(wrong: frozenset[Any], misfit: float) -> suspects.Explanation:
+        search: Any = SimpleNamespace(problem=problem, finding=Found(np.zeros(1)), fit=None, misfit=misfit)
+        found = suspects.Explanation(search, wrong, [])
+        found.__dict__["sheets"] = Sheets({"mass": [0]}, np.zeros(1), np.ones(1), np.full(1, 10.0))
+        found.__dict__["evidence"] = SimpleNamespace(information=4.0 * np.eye(1))
+        return found
+
+    monkeypatch.setattr(suspects, "_misfit", lambda fit, of, few: of.misfit)
+    right, wrong = explained(frozenset(), 50.0), explained(frozenset({"mass"}), 20.0)
+    spread = np.log1p(400.0 / wider**2) - np.log1p(4.0 / wider**2)
+    odds = 15.0 / wider**2 - ODDS - 0.5 * spread
+    assert wrong.against(right, wider=wider) == pytest.approx(odds)
+
+
+def test_first_states_are_those_of_a_search_that_cut_the_same_clips_anew(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    cost = SimpleNamespace(residuals=lambda *_: None)
+    space = SimpleNamespace(z_of=np.asarray, theta_of=np.asarray, prior_sd=np.ones(1))
+    information = SimpleNamespace(first=lambda dz: np.zeros((1, 1, 2)))
+
+    def fit(start: int) -> Any:
+        clip = SimpleNamespace(log=SimpleNamespace(source="log"), start=start, length=5)
+        problem = SimpleNamespace(
+            clips=(clip,), system=SimpleNamespace(space=space), cost=lambda clips, scale: cost
+        )
+        return SimpleNamespace(
+            problem=problem, space=space, weight=np.ones(1), z=np.zeros(1), shape=np.eye(1), times=(1.0,),
+            information=information, finding=SimpleNamespace(scale={}),
+        )  # fmt: skip
+
+    anew = SimpleNamespace(misfit=lambda times: np.array([7.0]))
+    monkeypatch.setattr(suspects, "scored", lambda *_: anew)
+    monkeypatch.setattr(suspects, "clip_objectives", lambda *_: np.array([[3.0]]))
+    for start, misfit in ((0, 3.0), (5, 7.0)):
+        of: Any = SimpleNamespace(fit=fit(start))
+        assert suspects._misfit(fit(0), of, None) == misfit
 
 
 @pytest.mark.parametrize("given", [0, {"gain": 0.0}])

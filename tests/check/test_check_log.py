@@ -292,7 +292,9 @@ def test_the_makers_gains_of_a_real_arm_are_doubted(capsys: pytest.CaptureFixtur
     assert "0.19 degrees of error already take all of its force" in record["findings"][0]["what"]
 
 
-def test_a_urdf_is_checked_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_urdf_is_checked_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     link = '<link name="{}"><inertial><mass value="{}"/><inertia ixx="1e-3" iyy="1e-3" izz="1e-3" '
     link += 'ixy="0" ixz="0" iyz="0"/></inertial><collision><geometry><box size=".1 .1 .1"/></geometry>'
     link += "</collision></link>"
@@ -308,3 +310,13 @@ def test_a_urdf_is_checked_too(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert run(["check", str(tmp_path / "arm.urdf"), "--json"]) == 0
     first = json.loads(capsys.readouterr().out)["findings"][0]
     assert first["kind"] == "file" and first["what"].startswith("no body has the inertia of link")
+    times = np.arange(0.0, 3.0, 0.01)
+    table, head = np.column_stack((times, np.sin(times), np.sin(times))), "time,position_j,command_position_j"
+    np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=head, comments="")
+    nothing = Expected((), (), (), {}, 0.0)
+    monkeypatch.setattr("amhe_cli.estimation.design.expected.expected", lambda *_: nothing)
+    assert run(["check", str(tmp_path / "arm.urdf"), str(tmp_path / "log.csv"), "--json"]) == 0
+    whats = [one["what"] for one in json.loads(capsys.readouterr().out)["findings"]]
+    assert sum("no body has the inertia" in what for what in whats) == 1, (
+        "the log's system is read from it, too"
+    )

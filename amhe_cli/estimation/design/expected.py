@@ -33,8 +33,8 @@ from amhe_cli.system.system import System
 CLIPS = 12
 #: Fewer, but never below this, where one linearisation would take more steps of the simulation than that.
 FEWEST, STEPS = 6, 200_000
-#: Iterations of the search that lead near the estimate, at most, and the share of the misfit that a further
-#: step would take away, below which it is near.
+#: Iterations of the search that lead near the estimate, at most; it is near where an iteration leaves more
+#: than this share of the cost of the one before.
 ITERATIONS, NEAR = 6, 0.9
 #: Linearisations of all clips that an identification takes, half of them its search: those of the examples.
 _LINEARISATIONS = 17.0
@@ -82,9 +82,9 @@ def expected(system: System, logs: Sequence[Log], *, threads: int = 1, seed: int
     if not clips:
         raise EstimationError("no clip of these logs can be used: too short, motionless, or across gaps")
     engine = open_engine(system, threads=threads)
-    few = Problem(system, pool, engine, seed, only=tuple(evenly(clips, FEWEST)), threads=threads)
-    steps = few.linearisation // len(few.clips) * max(clip.length for clip in few.clips)
-    problem = replace(few, only=tuple(evenly(clips, min(max(FEWEST, STEPS // steps), CLIPS))), whole=few)
+    rough = Problem(system, pool, engine, seed, only=tuple(evenly(clips, FEWEST)), threads=threads)
+    steps = rough.linearisation // len(rough.clips) * max(clip.length for clip in rough.clips)
+    problem = replace(rough, only=tuple(evenly(clips, min(max(FEWEST, STEPS // steps), CLIPS))), whole=rough)
     began = time.process_time()
     fit, rollouts = _near(problem)
     pace = (time.process_time() - began) / max(rollouts, 1)

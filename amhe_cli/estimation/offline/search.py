@@ -97,7 +97,8 @@ class SearchState:
         first: Posterior of the clips' first states; None: as recorded.
         straight: Nothing touches, and samples of this width hardly bend: short steps to one side do.
         plain: Steps are by slopes with their jitter, which passes for information and keeps steps short.
-            Freed of it, what moves less than it goes back to its prior in one step, which nobody checks.
+            By slopes freed of it, a number that moves less than the jitter would go back to its prior in one
+            step, whatever that costs.
     """
 
     stage: Stage
@@ -247,7 +248,7 @@ def elsewhere(problem: Problem, state: SearchState, held: BoolArray) -> SearchSt
         far = np.array([*itertools.product((0.0, 1.0), repeat=count)])
     else:
         half = rng.permutation(np.arange(count) % 2)
-        far = np.array([0 * half, half, 1 - half, half**0])
+        far = np.array([np.zeros(count), half, 1.0 - half, np.ones(count)])
     ends, spent = [], 0
     for up in far:
         z = state.z.copy()

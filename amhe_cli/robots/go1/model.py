@@ -118,7 +118,9 @@ def planner_model(box: Box = Box(), timestep: float = 0.01) -> mujoco.MjModel:
     spec.option.timestep = timestep
     spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
     spec.option.impratio, spec.option.iterations = 1.0, 10  # cheap solver options
-    spec.geom("head_5").pos[0] -= 0.1  # touches no box: it made pushes too fast (docs/notes/control.md)
+    # The forehead touches no box: it made pushes too fast (docs/notes/control.md). Its pair stays, since
+    # parameters are written into this model at the places of the system's.
+    spec.geom("head_5").pos[0] -= 0.1
     for name in JOINTS:
         spec.joint(name).frictionloss = 0.0
     _set_box(spec, box)
