@@ -22,6 +22,7 @@ from amhe_cli.estimation.explain.efforts import unexplained_efforts
 from amhe_cli.estimation.explain.explain import explain, forced
 from amhe_cli.estimation.explain.inputs import mended
 from amhe_cli.estimation.explain.joints import joint_causes
+from amhe_cli.estimation.explain.motion import _FEW, _PIECE, _pieces
 from amhe_cli.estimation.explain.regression import CauseColumns, Regression, blocks_of, memory_of
 from amhe_cli.estimation.explain.unexplained import unexplained
 from amhe_cli.estimation.offline.clips import whole
@@ -449,3 +450,13 @@ def test_friction_that_sets_in_gradually_is_not_called_drag_above_a_speed() -> N
 
     assert (found.rows[0].kind, found.rows[0].place) == ("stribeck", "a")
     assert "friction smaller by" in found.rows[0].text
+
+
+@pytest.mark.parametrize(
+    ("rows", "pieces", "instants"), [(60, 1, _FEW), (20, 1, 20), (9000, 9000 // 3 // _PIECE, 3000)]
+)
+def test_a_share_of_a_stretch_is_in_pieces_that_tell_something(rows: int, pieces: int, instants: int) -> None:
+    """Of a log of many short stretches, a third of each would be too short to count."""
+    found = list(_pieces(np.arange(rows), 1.0 / 3.0))
+    assert (len(found), sum(piece.size for piece in found)) == (pieces, instants)
+    assert found[0][0] == 0 and (pieces == 1 or found[-1][-1] == rows - 1)

@@ -28,7 +28,7 @@ _WIDTH, _ENDS = 0.1325, 4.0
 _SHARE, _LOWEST = 0.7, 1.0
 #: No more instants than about these are looked at, over all logs; and rows in an sd of the filter, at least.
 MOST, _FINE = 2000, 1.5
-#: Instants of a piece, where a log has more of them.
+#: Instants of a piece, where there are more of them than are looked at.
 _PIECE = 150
 #: Fewer instants of a stretch tell nothing.
 _FEW = 30
@@ -151,12 +151,15 @@ def motion_in(
 
 
 def _pieces(rows: IntArray, share: float) -> Iterator[IntArray]:
-    """A share of the rows of a stretch, as pieces spread evenly over it; all of them where the share is 1."""
+    """A share of the rows of a stretch, as pieces spread evenly over it; all of them where the share is 1.
+
+    No piece is so short that it tells nothing: many short stretches give more than the share.
+    """
     if share >= 1.0:
         yield rows
         return
     count = max(1, round(rows.size * share / _PIECE))
-    size = int(rows.size * share / count)
+    size = min(max(int(rows.size * share / count), _FEW), rows.size)
     for first in np.linspace(0, rows.size - size, count).astype(int):
         yield rows[first : first + size]
 
