@@ -19,9 +19,8 @@ from amhe_cli.system.model.gaps import add_gaps
 _OF_ACTUATOR = ("gaintype", "biastype", "gainprm", "biasprm", "forcelimited", "forcerange", "gear")
 #: Prior sd (log scale) and range, as a factor, of a number that the model gives.
 _KNOWN = (0.5, 10.0)
-#: Prior sd (log scale) and range, as a factor, of a number that the model leaves at zero. Two sd are a factor
-#: of ten: dry friction over inertia is 0.7 to 13 rad/s^2 in models that have any, and 1 is guessed.
-_UNKNOWN = (1.2, 100.0)
+#: Prior sd (log scale) and range, as a factor, of a number that the model leaves at zero.
+_UNKNOWN = (1.0, 100.0)
 #: Prior sd (log scale) of the gains that a model file gives its actuators.
 GAIN_SD = 0.1
 #: Numbers of a servo: the end of their parameter's name, and their prior sd (log scale) if a model has them.

@@ -317,7 +317,7 @@ def test_a_drive_takes_the_place_of_the_guesses(gains: str, tmp_path: Path, caps
         scaled, own = (getattr(model.actuator("elbow"), field) for model in (at_08, system.model))
         assert scaled == pytest.approx(0.8 * own)
     assert prior["elbow_armature"] == pytest.approx((0.024, 0.3))
-    assert prior["shoulder_armature"][1] == 1.2  # a guess, as before
+    assert prior["shoulder_armature"][1] == 1.0  # a guess, as before
     assert "shoulder_torque_scale" not in prior
     sd = prior["elbow_stribeck_friction"][1]
     assert sd == float(f"{sd:.3g}"), "numbers that people read"

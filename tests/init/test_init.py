@@ -443,7 +443,7 @@ def test_joints_alike_share_their_parameters_where_there_are_many() -> None:
     assert [target["joint"] for target in found["hip_damping"]["targets"]] == joints[:2]
     assert (found["hip_damping"]["nominal"], found["hip_damping"]["prior_sd"]) == (200.0, 0.5)
     assert found["X_hip_damping"]["nominal"] == 15.0
-    assert found["hip_friction_loss"]["prior_sd"] == 1.2  # the model has none
+    assert found["hip_friction_loss"]["prior_sd"] == 1.0  # the model has none
     few = guessed(structured(), joints[:2])
     assert {"FL_hip_damping", "FR_hip_damping"} <= set(few)
 

@@ -337,23 +337,14 @@ def averaged(found: Linearisation, shape: FloatArray) -> Linearisation:
         found: From pairs of samples.
         shape: Shape of the samples of z, (d, d).
     """
-    return freed(about_the_mean(found), shape)
-
-
-def about_the_mean(found: Linearisation) -> Linearisation:
-    """The same with residuals in the mean over the samples."""
     bend = np.maximum(found.bend - found.lift**2, 0.0)  # rounding leaves less than nothing
-    return replace(found, residual=found.residual + found.lift, bend=bend)
-
-
-def freed(found: Linearisation, shape: FloatArray) -> Linearisation:
-    """The same by pairs of samples of a shape S (d, d), its slopes without jitter."""
-    gain, own, first = np.zeros_like(found.gain), found.completed, found.first.shape
+    found = replace(found, residual=found.residual + found.lift, bend=bend)
+    freed, own, first = np.zeros_like(found.gain), found.completed, found.first.shape
     gz, gx = np.split(found.gain[own], [len(shape)], axis=1)
     slopes = np.concatenate((shape.T @ gz, first[own].transpose(0, 2, 1) @ gx), axis=1)
     slopes = without_jitter(slopes, found.bend[own], len(found.pairs), len(shape))
-    gain[own] = _by_coordinates(slopes, shape, first[own])
-    return replace(found, gain=gain)
+    freed[own] = _by_coordinates(slopes, shape, first[own])
+    return replace(found, gain=freed)
 
 
 def _samples(

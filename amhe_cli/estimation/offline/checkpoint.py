@@ -21,7 +21,7 @@ from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState, Stage
 from amhe_cli.matching.starts import first_index
 
-FORMAT = 4
+FORMAT = 3
 _STATES = {"linearised": SearchState, "cmaes": CmaState}
 #: What reading a file that is no checkpoint may raise.
 _FAULTS = (ValueError, OverflowError, LookupError, TypeError, AttributeError, OSError, RecursionError)
@@ -135,7 +135,7 @@ def _whole(state: SearchState | CmaState, problem: Problem) -> bool:
     checks: dict[str, Callable[[Any], bool]] = {
         "number": _is_count,
         "stage": lambda value: value in get_args(Stage),
-        **dict.fromkeys(("done", "settled", "straight", "plain"), lambda value: isinstance(value, bool)),
+        **dict.fromkeys(("done", "settled", "straight"), lambda value: isinstance(value, bool)),
         "z": lambda value: _is_array(value, d),
         "shape": lambda value: _is_array(value, d, d),
         "trail": lambda value: _is_array(value, len(value), d) or value.shape == (0, 0),

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray, to_host
+from amhe_cli.core.arrays import BoolArray, FloatArray, to_host
 from amhe_cli.core.errors import EstimationError
 from amhe_cli.core.log import Window
 from amhe_cli.core.settings import IdentifySettings
-from amhe_cli.estimation.core.agreement import SURPRISE
 from amhe_cli.estimation.core.information import (
     Information,
     channel_times,
@@ -30,13 +27,11 @@ from amhe_cli.estimation.core.linearise import (
     WIDEST,
     FirstStates,
     Linearisation,
-    about_the_mean,
     adapted,
     bounded,
     changed,
     coordinates,
     diagonal,
-    freed,
     sampling_sd,
 )
 from amhe_cli.estimation.core.result import Iteration
@@ -73,12 +68,6 @@ DAMPED = np.array([0.1, 1.0, 10.0, 100.0])
 #: Near its minimum a non-smooth cost cannot distinguish a good step from none: the longest that completes is
 #: taken.
 BLIND_LINE = np.array([1.0, 0.5, 0.2])
-#: What has this share of its prior variance left, on the log scale, is tried so many prior sd above, too, so
-#: many iterations before the end: of a number that is far too small, jitter hides the slope. So many descents
-#: at most, one from where the search is, take so many steps on `FEW` clips.
-HELD, FAR, LATE, TRIED, DESCENT = 0.8, 2.0, 3, 4, 4
-#: Steps [prior sd] that only make contacts jitter, and how many show how the cost scatters by it.
-JITTER, JITTERS = 1e-3, 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,9 +85,6 @@ class SearchState:
         trail: Estimates after each step of polishing a non-smooth cost, shape (k, d).
         first: Posterior of the clips' first states; None: as recorded.
         straight: Nothing touches, and samples of this width hardly bend: short steps to one side do.
-        plain: Steps are by slopes with their jitter, which passes for information and keeps steps short.
-            By slopes freed of it, a number that moves less than the jitter would go back to its prior in one
-            step, whatever that costs.
     """
 
     stage: Stage
@@ -111,7 +97,6 @@ class SearchState:
     trail: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     first: FirstStates | None = None
     straight: bool = False
-    plain: bool = False
 
     @property
     def done(self) -> bool:
@@ -169,8 +154,6 @@ def slopes_at(problem: Problem, state: SearchState) -> Linearisation:
     cost = problem.cost(windows, state.scale)
     fitted = setting.first_state == "always" or (setting.first_state == "polish" and not exploring)
     first = state.first or FirstStates.recorded(len(windows), cost.nx * fitted)
-    if state.plain:
-        return about_the_mean(problem.sampled(cost, state.z, first, state.shape, rng))
     return problem.linearised(cost, state.z, first, state.shape, rng, straight=state.straight)
 
 
@@ -191,8 +174,7 @@ def stepped(
             "simulations of these clips diverge: check the logs' units and the order of their joints "
             "(`amhe inspect` shows what looks wrong), then the model's own values"
         )
-    known = freed(slopes, state.shape) if state.plain else slopes  # samples are as wide as these allow
-    shape = _reshaped(problem, state, taken, information(known, straight=True), windows)
+    shape = _reshaped(problem, state, taken, information(slopes, straight=True), windows)
     number = state.number + 1
     trail = state.trail
     if problem.non_smooth and not exploring:
@@ -201,10 +183,9 @@ def stepped(
     # a step is short, too, while the misfit of an iteration before passes for noise
     quieter = any(sd < 0.8 * state.scale.get(key, 1.0) for key, sd in taken.scale.items() if state.scale)
     settled = still and not few and (problem.touches or not quieter)
-    stage = _next_stage(state, number, settled, setting, total(problem, state))
-    after = replace(
+    return replace(
         state,
-        stage=stage,
+        stage=_next_stage(state, number, settled, setting, total(problem, state)),
         number=number,
         z=taken.z,
         trail=trail,
@@ -217,59 +198,6 @@ def stepped(
         straight=not (problem.touches or taken.far)
         and float(slopes.bend.mean()) < STRAIGHT * float((info.residual**2).mean()),
     )
-    late = number - total(problem, state) + LATE
-    again = late == 0 or (late > 0 and state.plain)  # what it leaves is tried again
-    if problem.non_smooth and again and stage == "polish" and problem.whole is None:
-        precision = problem.system.space.prior_precision
-        matrix = information(known, straight=True).matrix.sum(axis=0) * problem.coverage(windows)
-        left, had = (np.diag(np.linalg.inv(one)) for one in (matrix + precision, precision))
-        return elsewhere(problem, after, problem.active & problem.system.space.log & (left > HELD * had))
-    return after
-
-
-def roughly(problem: Problem, clips: IntArray) -> Problem:
-    """A part of a problem, for few rollouts: on these of its clips, with first states as recorded."""
-    part, settings = problem.part(clips), problem.settings
-    few = settings.identify.model_copy(update={"first_state": "never", "samples": 4})
-    return replace(part, system=replace(part.system, settings=settings.model_copy(update={"identify": few})))
-
-
-def elsewhere(problem: Problem, state: SearchState, held: BoolArray) -> SearchState:
-    """The state, or the end of a descent with some of what is held far above its prior, if that fits better.
-
-    Better is what lowers the cost by more than jitter moves it, against a descent from the state itself.
-    """
-    count, space = int(held.sum()), problem.system.space
-    if not count:
-        return state
-    part = roughly(problem, np.unique(np.linspace(0, len(problem.clips) - 1, FEW).round().astype(int)))
-    cost, rng = part.cost(part.clips), problem.rng(13)
-    if 2**count <= TRIED:
-        far = np.array([*itertools.product((0.0, 1.0), repeat=count)])
-    else:
-        half = rng.permutation(np.arange(count) % 2)
-        far = np.array([np.zeros(count), half, 1.0 - half, np.ones(count)])
-    ends, spent = [], 0
-    for up in far:
-        z = state.z.copy()
-        z[held] += FAR * up
-        descent = replace(restart(part, space.clip(z)), plain=True)
-        with suppress(EstimationError):  # it diverges there
-            for _ in range(DESCENT):
-                descent = advance(part, descent)
-        ends.append(descent.z)
-        spent += sum(entry.rollouts for entry in descent.record)
-    draws = JITTER * rng.standard_normal((JITTERS, space.nominal.size)) * problem.active
-    candidates = space.clip(np.concatenate([end + draws for end in ends]))
-    costs = cost.costs(candidates).reshape(len(ends), JITTERS)
-    mean, spread = costs.mean(axis=1), costs.var(axis=1, ddof=1) / JITTERS
-    best, last = int(np.argmin(mean)), state.record[-1]
-    spent += len(cost.clips.windows) * len(candidates)
-    state = replace(state, record=(*state.record[:-1], replace(last, rollouts=last.rollouts + spent)))
-    if not best or mean[0] - mean[best] < SURPRISE * np.sqrt(spread[0] + spread[best]):
-        return state
-    # what came before is no estimate of this minimum, nor are its first states
-    return replace(state, z=ends[best], trail=np.empty((0, 0)), first=None, settled=False, plain=True)
 
 
 def last_step(problem: Problem, state: SearchState, slopes: Linearisation, info: Information) -> SearchState:

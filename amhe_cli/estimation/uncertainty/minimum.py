@@ -144,7 +144,11 @@ def _beyond_a_rise(cost: MatchingCost, z: FloatArray, corners: FloatArray) -> tu
 def _part(fit: FinalFit) -> Problem:
     """The clips that tell most, from their recorded first states."""
     information = np.einsum("ij,cji->c", fit.posterior.covariance, fit.information.matrix) * fit.weight
-    return search.roughly(fit.problem, np.sort(np.argsort(-information)[:FEW]))
+    problem, part = fit.problem, fit.problem.part(np.sort(np.argsort(-information)[:FEW]))
+    settings = problem.settings
+    few = settings.identify.model_copy(update={"first_state": "never", "samples": 4})
+    system = replace(problem.system, settings=settings.model_copy(update={"identify": few}))
+    return replace(part, system=system)
 
 
 def _corners(problem: Problem) -> FloatArray:

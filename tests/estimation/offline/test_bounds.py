@@ -14,7 +14,6 @@ from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.states import touching
 from amhe_cli.estimation.core.information import marginalised, step_within
-from amhe_cli.estimation.core.result import Iteration
 from amhe_cli.estimation.identification import IdentifyOptions, identify
 from amhe_cli.estimation.offline import problem as module
 from amhe_cli.estimation.offline import search
@@ -26,7 +25,7 @@ from amhe_cli.estimation.uncertainty.ledger import Ledger, Source, Term, term_of
 from amhe_cli.report.identification import identification_record, parameter_table
 from amhe_cli.system.system import System
 from amhe_cli.view.page import parameter_rows
-from tests.estimation.conftest import CHEAP, TRUTH
+from tests.estimation.conftest import CHEAP
 from tests.estimation.test_identification import fall
 from tests.report.synthetic import identification
 from tests.report.test_identification import page
@@ -192,39 +191,6 @@ def test_a_model_without_contacts_is_smooth_however_its_response_bends(monkeypat
     monkeypatch.setattr(module, "NON_SMOOTH", -1.0)  # any response passes for bent
     assert not problem(pendulum, swing(2.0)).non_smooth
     assert problem(cube, fall(cube)).non_smooth
-
-
-def frictionless(swing: Callable[..., Log]) -> tuple[Problem, np.ndarray, np.ndarray]:
-    """A dry friction that is guessed at a fifteenth of what it is; the truths; which one is the friction."""
-    few = {"nominal": 0.0023, "bounds": [2e-5, 0.2], "prior_sd": 1.2}
-    system = System.load("pendulum", {**CHEAP, "parameters": {"friction_loss": few}})
-    is_friction = np.array([name == "friction_loss" for name in system.space.names])
-    return problem(system, swing(6.0)), system.space.z_of(TRUTH), is_friction
-
-
-def test_what_hardly_left_its_prior_is_tried_far_away(monkeypatch, swing) -> None:
-    """Where its slope is hidden; what is right already stays, and the rollouts count."""
-    made, true, held = frictionless(swing)
-    monkeypatch.setattr(search, "DESCENT", 0)
-    record = (Iteration(5, "", 1.0, 0.1, 100, 0, ()),)
-    for z, moves in ((np.where(held, 0.0, true), True), (true, False)):
-        before = replace(search.restart(made, z), record=record)
-        after = search.elsewhere(made, before, held)
-        assert (after.z[~held] == z[~held]).all()
-        assert after.z[held] == (search.FAR if moves else z[held])
-        assert after.plain == moves
-        assert after.record[-1].rollouts > 100
-
-
-def test_jitter_alone_moves_nothing_back_to_its_prior(monkeypatch, swing) -> None:
-    made, true, held = frictionless(swing)
-    monkeypatch.setattr(Problem, "non_smooth", True)
-    lost = lambda found, shape: replace(found, gain=0.0 * found.gain)  # noqa: E731
-    monkeypatch.setattr(search, "freed", lost)
-    monkeypatch.setattr(module, "averaged", lost)
-    after = search.advance(made, replace(search.restart(made, true), plain=True))
-    assert np.abs(after.z - true).max() < 0.3 < np.abs(true[held])
-    assert (search.sampling_sd(after.shape) > 0.2).all(), "its samples stay wide"
 
 
 def test_the_kink_of_a_command_delay_on_the_command_grid_is_no_roughness(monkeypatch, delayed, swing):
