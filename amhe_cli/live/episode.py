@@ -168,18 +168,10 @@ class AdaptiveBelief:
 
     Args:
         start: Parameters by name before the first estimate.
-        corrected: Makes the parameters of the next plan from a cycle and the newest estimate, for what is
-            seen before a window of the estimator shows it; None: nothing is corrected.
     """
 
-    def __init__(
-        self,
-        start: Mapping[str, float],
-        tracker: Tracker,
-        corrected: Callable[[Cycle, Mapping[str, float]], dict[str, float]] | None = None,
-    ) -> None:
-        self._estimated, self._tracker, self._corrected = dict(start), tracker, corrected
-        self._belief = dict(start)
+    def __init__(self, start: Mapping[str, float], tracker: Tracker) -> None:
+        self._belief, self._tracker = dict(start), tracker
 
     def at(self, time: float) -> dict[str, float]:
         """See `BeliefSource`: line 9 of Algorithm 1."""
@@ -190,9 +182,7 @@ class AdaptiveBelief:
         news = self._tracker.feed(cycle.samples, cycle.time, begin=not cycle.hurried)
         for estimate in news:
             if isinstance(estimate, Estimate):
-                self._estimated |= zip(estimate.belief.names, estimate.theta.tolist(), strict=True)
-        corrected = self._corrected
-        self._belief = corrected(cycle, self._estimated) if corrected else dict(self._estimated)
+                self._belief |= zip(estimate.belief.names, estimate.theta.tolist(), strict=True)
         return news
 
     def close(self) -> None:

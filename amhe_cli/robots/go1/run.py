@@ -35,7 +35,6 @@ from amhe_cli.live.episode import AdaptiveBelief, BeliefSource, Episode, FixedBe
 from amhe_cli.live.recorder import Recorder
 from amhe_cli.live.target import SimTarget, Target
 from amhe_cli.robots.go1.behaviours.gait import Gait
-from amhe_cli.robots.go1.behaviours.walking import Resistance
 from amhe_cli.robots.go1.judge import Judge
 from amhe_cli.robots.go1.kinematics import HOME, KINDS, SERVOS
 from amhe_cli.robots.go1.model import KD, KP, SYSTEM, Box, home, layout, planner_model
@@ -359,8 +358,7 @@ def belief_source(
     budget = slow * (mhe.budget or mhe.update_period)
     live = _live(options, system)
     worker = InProcess(factory, budget, slow * PATIENCE) if live else InStep(factory, mhe.latency)
-    reflex = Resistance() if task.pushes and settings_of(system).control.reflex else None
-    return AdaptiveBelief(fixed, Tracker(system, worker), reflex)
+    return AdaptiveBelief(fixed, Tracker(system, worker))
 
 
 def estimator_of(options: RunOptions, start: Belief, belief: Belief | None = None) -> MovingHorizon:
