@@ -237,7 +237,7 @@ def _short(value: Any) -> Any:
 
 
 def _learnt(history: History) -> dict[str, Any]:
-    """Relative errors and sd of the belief at the end, of mu m over time; if 90 % intervals hold the truth.
+    """Relative errors and sd of the belief at the end, errors of mu m over time; if intervals hold the truth.
 
     Over time: from 3 s on, but not in the 1.5 s after a change; rms, and shares of the time.
     """
