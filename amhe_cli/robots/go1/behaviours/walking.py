@@ -189,8 +189,8 @@ class Helm:
         place, s = self._path.place(state.box.position[:2]), self._steering
         origin = self._path.nearest(state.box.position[:2], place)
         progress, box_yaw, commanded = float(place.progress), state.box.yaw, self._commanded(place)
-        along, self._gone = progress - self._gone, progress
-        self._held = limited(self._held + s.path_hold * float(place.left) * max(along, 0.0), s.path_limit)
+        gone, self._gone = self._gone, max(self._gone, progress)  # noise of a box that stands is no way
+        self._held = limited(self._held + s.path_hold * float(place.left) * (self._gone - gone), s.path_limit)
         back = limited(s.path_gain * float(place.left) + self._held, s.path_limit)
         heading = float(place.heading) + self._path.curvature * s.ahead - back
         missing = wrapped(heading - box_yaw)

@@ -99,6 +99,13 @@ def test_a_box_that_creeps_aside_comes_back_to_its_path(path: Course) -> None:
     assert far[-1] < 0.9 * max(far), "it comes back"
 
 
+def test_noise_of_a_box_that_stands_turns_nobody() -> None:
+    steered, rng = helm(), np.random.default_rng(0)
+    places = [1.0, *(1.0 - 0.004 * rng.random(1000)), 1.0]
+    first, *_, last = (steered.reference(along(LINE, place, 0.03)).heading for place in places)
+    assert last == first
+
+
 def test_what_the_task_asks_for_is_the_path_and_its_speed() -> None:
     at = helm().on_path(along(LINE, 1.0, astray=0.3, turn=0.2))
     assert (at.speed, at.heading, at.yaw, at.box_yaw, at.offset) == (SPEED, 0.0, 0.0, 0.0, 0.0)
