@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     options.where,
     options.require("the sd expected of a parameter"),
     flag("--no-meshes", "Read a URDF without its meshes."),
-    option("--page", "Write it as a page, too.", NewFile("FILE.html")),
+    option("-o --page", "Write it as a page, too.", NewFile("FILE.html")),
     options.force("over FILE.html where it exists"),
 )
 def check(session: Session, given: Given) -> int | None:

@@ -231,7 +231,8 @@ def _sections(result: Identification, record: Mapping[str, Any], seen: Beside) -
     if seen.whole:
         yield Section(
             "Whole log",
-            text="What was measured, and what is predicted from the first state of each clip.",
+            text="What was measured, and what is predicted from the first state of each clip, where lines "
+            "begin anew.",
             figure=seen.whole,
             folded=True,
         )

@@ -130,10 +130,10 @@ def thinned(x: FloatArray, *values: FloatArray) -> tuple[FloatArray, ...]:
     kept = {0, first.size - 1}
     for stretch in np.array_split(np.arange(first.size), MAX_POINTS // 2):
         part = first[stretch]
-        if np.isfinite(part).any():
+        gaps = np.flatnonzero(np.isnan(part))
+        if len(gaps) < len(part):
             kept |= {int(stretch[np.nanargmin(part)]), int(stretch[np.nanargmax(part)])}
-        else:
-            kept.add(int(stretch[0]))
+        kept |= {int(stretch[gap]) for gap in gaps[:1]}
     index = np.array(sorted(kept))
     return tuple(one[index] for one in (x, *values))
 

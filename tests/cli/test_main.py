@@ -319,6 +319,12 @@ def test_a_command_has_at_most_16_options_of_its_own(name: str) -> None:
     assert len(options_in(amhe.commands[name]) - SHARED) <= MOST, "make the rarest a setting"
 
 
+@pytest.mark.parametrize("name", amhe.commands)
+def test_what_a_command_writes_is_named_by_o(name: str) -> None:
+    options = {option for param in amhe.commands[name].params for option in param.opts}
+    assert "--force" not in options or "-o" in options
+
+
 @pytest.mark.parametrize("former", ["--for", "--duration"])
 def test_a_length_is_in_seconds_by_any_of_its_names(former: str, capsys) -> None:
     assert run(["run", "--task", "t1", former, "x"]) == run(["run", "--task", "t1", "--seconds=x"]) == 2

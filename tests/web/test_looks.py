@@ -163,7 +163,7 @@ KINDS: dict[str, Maker] = {
     "audit": of_commands("report.html", "audit example:arm_torque example:arm_torque -o OUT"),
     "check": of_commands(
         "model.html log.html",
-        "check example:arm --page OUT/model.html",
+        "check example:arm -o OUT/model.html",
         "check example:arm_torque example:arm_torque --page OUT/log.html",
     ),
     "eval": study,

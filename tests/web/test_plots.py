@@ -28,11 +28,12 @@ def test_values_keep_four_digits_of_their_range_and_gaps_stay_open() -> None:
     assert panel["title"] == "a<b" and "a<b" not in html(Panel("a<b", []))
 
 
-def test_a_long_line_keeps_its_peaks() -> None:
+def test_a_long_line_keeps_its_peaks_and_gaps() -> None:
     y = np.zeros(100_000)
-    y[70_001], y[200], y[50_000:60_000] = 5.0, -3.0, np.nan
+    y[70_001], y[200], y[50_000:60_000], y[30_100] = 5.0, -3.0, np.nan, np.nan
     x, kept = thinned(np.arange(y.size, dtype=float), y)
-    assert len(x) <= 302 and np.nanmax(kept) == 5.0 and np.nanmin(kept) == -3.0 and np.isnan(kept).any()
+    assert len(x) <= 302 and np.nanmax(kept) == 5.0 and np.nanmin(kept) == -3.0
+    assert {30_100.0, 50_000.0} <= set(x[np.isnan(kept)]), "gaps stay open, one of a single sample too"
 
 
 def test_no_two_of_many_lines_are_alike() -> None:
