@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -125,7 +126,7 @@ def budget_section(parameters: Sequence[ParameterResult]) -> Section:
             numbers.quantity(numbers.rounded(p.sd, p.sd), p.unit),
             cell("shares", [(kind, share, _COLORS[kind]) for kind, share in shares]),
             ", ".join(f"{kind} {100.0 * share:.0f} %" for kind, share in sorted(shares, key=lambda s: -s[1])),
-            numbers.rounded(p.doubled_prior, p.sd),
+            _share_of_sd(p),
         )
         for p, shares in zip(parameters, shown, strict=True)
     ]
@@ -134,10 +135,16 @@ def budget_section(parameters: Sequence[ParameterResult]) -> Section:
     meanings = Markup("; ").join(cell("key", kind, KINDS[kind], _COLORS[kind]) for kind in kinds)
     return Section(
         "Where each interval comes from",
-        text=meanings + ". The last column says how far the estimate would move.",
+        text=meanings + ". The last column says by how much of its sd the estimate would move.",
         table=Table(head, ("name", STRONG, "", "soft", NUMBER), rows),
         folded=True,
     )
+
+
+def _share_of_sd(p: ParameterResult) -> str:
+    """How far the estimate would move with twice the prior's sd: '12 %' of its own."""
+    share = abs(p.doubled_prior) / p.sd if p.sd else math.nan
+    return f"{100.0 * share:.0f} %" if math.isfinite(share) else numbers.MISSING
 
 
 #: A reason of so many parameters is said below their table, not in each row.
