@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-import numpy as np
 
 from amhe_cli.cli import options
 from amhe_cli.cli.command import Given, argument, command, flag, option
@@ -103,6 +102,8 @@ def _read_with(path: Path, texts: Sequence[str]) -> Iterator[Finding]:
 
 def _recorded(system: System, logs: Sequence[Log], texts: Sequence[str]) -> Iterator[Finding]:
     """What was reported when logs were read, and at first sight: clocks, spikes, damage, signs, units."""
+    import numpy as np
+
     from amhe_cli.check.findings import WRONG, Finding
     from amhe_cli.cli.advice import entry_of
     from amhe_cli.estimation.explain.inputs import mended, remarks
