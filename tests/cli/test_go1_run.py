@@ -341,7 +341,9 @@ def walked(tmp_path: Path, forge: Forge, seconds: float) -> tuple[int, str, dict
                 [sys.executable, "-m", "amhe_cli", *ROBOT, *where, *more], check=False, timeout=120,
                 stderr=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)},
             )  # fmt: skip
-    return ended.returncode, ended.stderr, json.loads((tmp_path / "out/result.json").read_text())
+    record = tmp_path / "out/result.json"
+    assert record.exists(), ended.stderr
+    return ended.returncode, ended.stderr, json.loads(record.read_text())
 
 
 @pytest.mark.slow
