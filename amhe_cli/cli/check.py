@@ -102,15 +102,12 @@ def _read_with(path: Path, texts: Sequence[str]) -> Iterator[Finding]:
 
 def _recorded(system: System, logs: Sequence[Log], texts: Sequence[str]) -> Iterator[Finding]:
     """What was reported when logs were read, and at first sight: clocks, spikes, damage, signs, units."""
-    import numpy as np
-
     from amhe_cli.check.findings import WRONG, Finding
     from amhe_cli.cli.advice import entry_of
-    from amhe_cli.estimation.explain.inputs import mended, remarks
-    from amhe_cli.estimation.offline.clips import whole
+    from amhe_cli.estimation.explain.inputs import foremost, remarks
 
     for log in logs:
-        for wrong in mended(system, [whole(log)], np.random.default_rng(0))[:1]:
+        for wrong in foremost(system, log):
             yield Finding("recording", wrong.place, wrong.what, WRONG, f"{wrong.remedy} in its signal")
     sources = {log.source for log in logs}
     for text in dict.fromkeys([*texts, *(text for log in logs for text in remarks(system, log))]):

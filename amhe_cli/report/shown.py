@@ -62,9 +62,9 @@ def html_table(table: Table) -> Markup:
 
 def result_html(found: Identification) -> str:
     """What was identified, as a table and sentences in the colours of the text around them."""
-    told = Markup("").join([Markup("<li>{}</li>").format(said(one.text)) for one in statements(found)])
+    notes = Markup("").join([Markup("<li>{}</li>").format(said(one.text)) for one in statements(found)])
     table = html_table(parameter_table(found.lines))
-    return str(Markup("<p><b>{}</b></p>{}<ul>{}</ul>").format(headline(found), table, told))
+    return str(Markup("<p><b>{}</b></p>{}<ul>{}</ul>").format(headline(found), table, notes))
 
 
 @singledispatch

@@ -318,8 +318,12 @@ def first_look(
         rng: Generator of the signs of blocks; None: the same in each call.
     """
     yield from remarks(system, log, columns)
-    for wrong in mended(system, [whole(log)], rng or np.random.default_rng(0))[:1]:
-        yield wrong.sentence
+    yield from (wrong.sentence for wrong in foremost(system, log, rng))
+
+
+def foremost(system: System, log: Log, rng: np.random.Generator | None = None) -> Sequence[Mended]:
+    """What is first to be put right in a log, if anything is; `rng` as in `first_look`."""
+    return mended(system, [whole(log)], rng or np.random.default_rng(0))[:1]
 
 
 def remarks(system: System, log: Log, columns: Sequence[str] = ()) -> Iterator[str]:

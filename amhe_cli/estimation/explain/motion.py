@@ -153,7 +153,7 @@ def motion_in(
 def _pieces(rows: IntArray, share: float) -> Iterator[IntArray]:
     """A share of the rows of a stretch, as pieces spread evenly over it; all of them where the share is 1.
 
-    No piece is so short that it tells nothing: many short stretches give more than the share.
+    No piece is too short to be of use: many short stretches give more than the share.
     """
     if share >= 1.0:
         yield rows
