@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from itertools import count
 from unittest.mock import Mock
@@ -148,24 +148,25 @@ def test_a_lossy_late_line_loses_delays_and_damages() -> None:
     port.close()
 
 
-@pytest.mark.medium
 def test_a_line_is_good_until_its_faults_begin() -> None:
-    with (
-        emulating("--fault", "loss=1,after=0.2") as emulated,
-        udp() as client,
-    ):
-        client.settimeout(5.0)
-        client.connect(("127.0.0.1", emulated.port))
-        client.send(encode_command(servo(FOLDED, kp=0.0)))  # drives nothing yet
-        ticks = [decode_state(client.recv(2000)).tick for _ in range(400)]
-        client.send(encode_command(servo(FOLDED, kp=1.0)))
-        client.settimeout(0.5)
-        with pytest.raises(TimeoutError):
-            while True:
-                ticks.append(decode_state(client.recv(2000)).tick)
-    assert ticks == sorted(ticks)
-    assert ticks[-1] - ticks[0] < 1.2 * len(ticks), "a busy machine loses some"
-    assert 590 < len(ticks) < 1000  # 200 after the command, and what was on the way before it
+    options = EmulatorOptions(T1, port=0, mocap="none", faults=parse_faults("loss=1,after=0.02"))
+    with Emulator(options) as emulator, udp() as client:
+        client.setblocking(False)
+        client.connect(emulator.address)
+
+        def ticks(milliseconds: int, kp: float) -> list[int]:
+            client.send(encode_command(servo(FOLDED, kp=kp)))
+            for _ in range(milliseconds):
+                emulator._millisecond()
+            seen = []
+            with suppress(BlockingIOError):
+                while True:
+                    seen.append(decode_state(client.recv(2000)).tick)
+            return seen
+
+        idle = ticks(40, kp=0.0)  # drives nothing yet
+        assert len(idle) == 40
+        assert ticks(60, kp=1.0) == list(range(idle[-1] + 1, idle[-1] + 21))
 
 
 @pytest.mark.parametrize("text", ["los=0.1", "loss", "delay=soon"])
@@ -322,7 +323,7 @@ def test_the_command_serves_says_where_and_ends_in_order() -> None:
             client.connect(("127.0.0.1", emulated.port))
             client.send(encode_command(MotorCommand()))
             ticks = [decode_state(client.recv(2000)).tick for _ in range(50)]
-        assert (np.diff(ticks) == 1).all()
+        assert (np.diff(ticks) > 0).all()
     assert "1 commands, 0 damaged" in emulated.stderr
     assert emulated.process.returncode == 0
 
