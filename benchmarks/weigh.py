@@ -2,7 +2,7 @@
 
     python benchmarks/weigh.py [--seeds 10] [--jobs 2]
     python benchmarks/weigh.py --real [--jobs 2]
-    python benchmarks/weigh.py --wrong [--jobs 2]
+    python benchmarks/weigh.py --wrong [--part 1/5] [--jobs 2]
 
 The plant is a Feetech STS3215 at 12 V that is *not* the model which `init` writes: friction of the model M6
 of arXiv 2410.08650, larger at rest and uneven over a turn, a least PWM, a lag of the firmware, a supply that
@@ -18,8 +18,9 @@ At least 60 % of the masses must be identified or conditional, 90 % of these mus
 must be 5 %. Beside them stand plain least squares of the torques that the servo's data sheet promises, and
 `mujoco.sysid` (where it is installed) of the same log, with mass, damping, friction and armature free.
 
-`--real` does so with logs of a Dynamixel XL330. `--wrong` takes gain and limit of that servo as exact,
-and has one of them wrong: no mass may be called identified.
+`--real` does so with logs of a Dynamixel XL330: each alone; with the mass known, for the torque per volt; all
+whose torque is on together; and by two or four of them the others. `--wrong` takes gain and limit of that
+servo as exact, and has one of them wrong: no mass may be called identified.
 """
 
 from __future__ import annotations
@@ -29,8 +30,9 @@ import logging
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +40,7 @@ import mujoco
 import numpy as np
 import yaml
 from against_sysid import Case, with_sysid
-from common import DATA, PROJECT, over_seeds, seeds_of, show
+from common import DATA, PROJECT, add_parts, in_parts, seeds_of, show
 from mujoco import sysid
 
 import amhe_cli as amhe
@@ -75,8 +77,14 @@ WRONG = {
     "limit -40 %": (1.0, 0.6),
     "limit +40 %": (1.0, 1.4),
 }
-#: Gain and motion of the logs of the XL330 that calibrate: the lowest and the highest gain.
-CALIBRATE = ((100, "sin_sin"), (800, "up_and_down"))
+#: Logs of the XL330 that calibrate, at the lowest and the highest gain; the others are weighed.
+CALIBRATE = {
+    "all at once": (),
+    "by two": ("kp100_sin_sin", "kp800_up_and_down"),
+} | {
+    f"by four, {a} and {b}": tuple(f"kp{gain}_{motion}" for gain in (100, 800) for motion in (a, b))
+    for a, b in combinations(("sin_time_square", "up_and_down", "sin_sin"), 2)
+}
 
 
 def servo_of(rng: np.random.Generator) -> dict[str, float]:
@@ -222,28 +230,32 @@ class Bench:
         return {"sysid": plain.space.named(plain.space.theta_of(path.z[-1]))["load_mass"]}
 
 
+#: A log, and what is known of it.
+Known = tuple[Path, dict[str, float]]
+
+
 def weighed(
-    system: amhe.System, log: Path, known: dict[str, float], belief: amhe.Belief | None = None
+    system: amhe.System, logs: Sequence[Known], belief: amhe.Belief | None = None, name: str = "load_mass"
 ) -> dict[str, Any]:
-    """What `amhe identify` says of the load of a log."""
-    began = time.process_time()
-    result = amhe.identify(system, replace(amhe.read_log(log, system), known=known), prior=belief, threads=1)
-    mass = result.parameters["load_mass"]
-    print(
-        f"{log.stem}: {mass.estimate:.3f} ({mass.lower:.3f} to {mass.upper:.3f}) {mass.verdict}", flush=True
-    )
+    """What `amhe identify` says of the load of some logs, or of another parameter that ends in `name`."""
+    began, label = time.process_time(), logs[0][0].stem if len(logs) == 1 else f"{len(logs)} logs"
+    read = [replace(amhe.read_log(path, system), known=known) for path, known in logs]
+    result = amhe.identify(system, read, prior=belief, threads=1)
+    found = next(one for full, one in result.parameters.items() if full.endswith(name))
+    span = f"{found.estimate:.3f} ({found.lower:.3f} to {found.upper:.3f})"
+    print(f"{label}, {name}: {span} {found.verdict}", flush=True)
     return {
-        "log": log.stem,
-        "estimate": mass.estimate,
-        "lower": mass.lower,
-        "upper": mass.upper,
-        "verdict": mass.verdict,
-        "reasons": [reason.text for reason in mass.reasons],
+        "log": label,
+        "estimate": found.estimate,
+        "lower": found.lower,
+        "upper": found.upper,
+        "verdict": found.verdict,
+        "reasons": [reason.text for reason in found.reasons],
         "seconds": time.process_time() - began,
     }
 
 
-def calibrated(system: amhe.System, logs: list[tuple[Path, dict[str, float]]]) -> amhe.Belief:
+def calibrated(system: amhe.System, logs: Sequence[Known]) -> amhe.Belief:
     """What is believed of the servo by logs of known loads."""
     read = [replace(amhe.read_log(path, system), known=known) for path, known in logs]
     return amhe.identify(system, read, threads=1).belief
@@ -277,9 +289,8 @@ def trial(seed: int) -> dict[str, Any]:
             for j, motion in enumerate(moving):
                 gain = GAINS[(i + j + seed) % len(GAINS)]
                 about = {"how": "calibrated", "truth": load, "motion": motion, "gain": gain}
-                found.append(
-                    about | weighed(system, log(load, motion, gain), {RATIO: gain / GAINS[0]}, belief)
-                )
+                one = log(load, motion, gain), {RATIO: gain / GAINS[0]}
+                found.append(about | weighed(system, [one], belief))
             motion, gain = list(MOTIONS)[(i + seed) % len(MOTIONS)], GAINS[i % len(GAINS)]
             path, about = (
                 log(load, motion, gain),
@@ -287,7 +298,7 @@ def trial(seed: int) -> dict[str, Any]:
             )
             alone = bench.system(path, gain)
             about |= {"least_squares": bench.least_squares(alone, path, gain)} | bench.by_sysid(alone, path)
-            found.append(about | weighed(alone, path, {}))
+            found.append(about | weighed(alone, [(path, {})]))
     estimates = dict(zip(belief.names, belief.estimate.tolist(), strict=True))
     return {"servo": servo, "belief": estimates, "found": found}
 
@@ -300,34 +311,58 @@ def xl330_bench(folder: str) -> Bench:
     return bench
 
 
-def real(number: int) -> dict[str, Any]:
-    """One log of the XL330 (docs/real.md), alone and with the belief of two others."""
-    logging.disable(logging.WARNING)
+def xl330_log(number: int) -> tuple[Path, float, str]:
+    """One of its sixteen logs, the gain of its firmware, and the motion."""
     path = sorted((DATA / "xl330").glob("*.mcap"))[number]
-    gain, about = float(path.stem.split("_")[0][2:]), {"truth": 0.49, "motion": path.stem.partition("_")[2]}
+    gain, _, motion = path.stem.removeprefix("kp").partition("_")
+    return path, float(gain), motion
+
+
+def real(number: int) -> dict[str, Any]:
+    """One log of the XL330 (docs/real.md), or one way to calibrate by some of them."""
+    logging.disable(logging.WARNING)
     with tempfile.TemporaryDirectory() as name:
         bench = xl330_bench(name)
-        alone = bench.system(path, gain)
-        about |= {"how": "alone", "least_squares": bench.least_squares(alone, path, gain)}
-        found = [about | bench.by_sysid(alone, path) | weighed(alone, path, {})]
-        known = {f"kp{kp}_{motion}": kp for kp, motion in CALIBRATE}
-        if path.stem not in known:
-            first = bench.system(path.parent / f"{next(iter(known))}.mcap", next(iter(known.values())))
-            ratio = {
-                stem: {"pendulum_gain_ratio": kp / next(iter(known.values()))} for stem, kp in known.items()
-            }
-            logs = [(path.parent / f"{stem}.mcap", {"load_mass": 0.49, **ratio[stem]}) for stem in known]
-            own = {"pendulum_gain_ratio": gain / next(iter(known.values()))}
-            found.append(about | {"how": "calibrated"} | weighed(first, path, own, calibrated(first, logs)))
-    return {"found": found}
+        return {"found": alone(bench, number) if number < 16 else together(bench, number - 16)}
+
+
+def alone(bench: Bench, number: int) -> list[dict[str, Any]]:
+    """The load by one log, and with the load known its torque per volt over the data sheet's."""
+    path, gain, motion = xl330_log(number)
+    system, drops = bench.system(path, gain), motion == "lift_and_drop"
+    about = {"truth": 0.49, "motion": motion, "how": "the torque off, alone" if drops else "alone"}
+    if drops:
+        return [about | weighed(system, [(path, {})])]
+    about |= {"least_squares": bench.least_squares(system, path, gain)} | bench.by_sysid(system, path)
+    per_volt = weighed(system, [(path, {"load_mass": 0.49})], name="torque_scale")
+    return [
+        about | weighed(system, [(path, {})]),
+        {"how": "torque per volt", "truth": 1.0, "motion": motion} | per_volt,
+    ]
+
+
+def together(bench: Bench, way: int) -> list[dict[str, Any]]:
+    """The loads of the logs with the torque on by those that calibrate, or one load of all of them."""
+    how, stems = list(CALIBRATE.items())[way]
+    on = [log for log in map(xl330_log, range(16)) if log[2] != "lift_and_drop"]
+    on.sort(key=lambda log: log[0].stem not in stems)  # those that calibrate first, then by gain
+    ratios = {path: {"pendulum_gain_ratio": gain / on[0][1]} for path, gain, _ in on}
+    system, about = bench.system(*on[0][:2]), {"how": how, "truth": 0.49}
+    if not stems:
+        return [about | {"motion": "all"} | weighed(system, list(ratios.items()))]
+    known = [(path, {"load_mass": 0.49} | ratios[path]) for path, _, _ in on[: len(stems)]]
+    belief = calibrated(system, known)
+    return [
+        about | {"motion": motion} | weighed(system, [(path, ratios[path])], belief)
+        for path, _, motion in on[len(stems) :]
+    ]
 
 
 def wrong(number: int) -> dict[str, Any]:
     """One log of the XL330, whose servo the model has wrong in one way and takes as exact."""
     logging.disable(logging.WARNING)
-    at, way = divmod(number, len(WRONG))
-    path, (how, (factor, limit)) = sorted((DATA / "xl330").glob("*.mcap"))[at], list(WRONG.items())[way]
-    gain, motion = float(path.stem.split("_")[0][2:]), path.stem.partition("_")[2]
+    way, at = divmod(number, 16)
+    (path, gain, motion), (how, (factor, limit)) = xl330_log(at), list(WRONG.items())[way]
     with tempfile.TemporaryDirectory() as name:
         system = xl330_bench(name).system(path, gain)
         description = yaml.safe_load(system.text)
@@ -346,17 +381,16 @@ def wrong(number: int) -> dict[str, Any]:
             name="wrong",
             warn=False,
         )
-        return {"found": [{"how": how, "truth": 0.49, "motion": motion} | weighed(other, path, {})]}
+        return {"found": [{"how": how, "truth": 0.49, "motion": motion} | weighed(other, [(path, {})])]}
 
 
 def row(label: str, found: list[dict[str, Any]]) -> tuple[str, ...]:
     """One line of the table."""
     claimed = [one for one in found if one["verdict"] in ("identified", "conditional")]
     held = [one["lower"] <= one["truth"] <= one["upper"] for one in found]
-    errors = [100.0 * (one["estimate"] / one["truth"] - 1.0) for one in found]
-    plain, sysid = (
-        [abs(100.0 * (one[way] / one["truth"] - 1.0)) for one in found if way in one]
-        for way in ("least_squares", "sysid")
+    ratios, *plain = (
+        np.array([one[way] / one["truth"] for one in found if way in one])
+        for way in ("estimate", "least_squares", "sysid")
     )
     wide = [one["upper"] / one["lower"] for one in found]
     seconds = sorted(one["seconds"] for one in found)
@@ -364,14 +398,20 @@ def row(label: str, found: list[dict[str, Any]]) -> tuple[str, ...]:
         label,
         f"{len(claimed)} of {len(found)}, {len(claimed) / len(found):.0%}",
         f"{sum(one['lower'] <= one['truth'] <= one['upper'] for one in claimed)} of {len(claimed)}",
-        f"{np.mean(held):.0%}",
-        f"{np.median(np.abs(errors)):.1f} %",
-        f"{np.median(errors):+.1f} %",
+        f"{sum(held)} of {len(held)}",
         f"{np.median(wide):.2f}",
-        *(f"{np.median(some):.0f} %" if some else "" for some in (plain, sysid)),
-        ", ".join(f"{n} {verdict}" for verdict, n in Counter(one["verdict"] for one in found).most_common(3)),
+        *(_errors(some) for some in (ratios, *plain)),
+        ", ".join(f"{n} {verdict}" for verdict, n in Counter(one["verdict"] for one in found).most_common(4)),
         f"{seconds[len(seconds) // 2]:.1f} s",
     )
+
+
+def _errors(ratios: FloatArray) -> str:
+    """Of estimates over truths (n,): the median error, the mean, and the scatter about it."""
+    if ratios.size < 2:
+        return "".join(f"{100.0 * abs(one - 1.0):.1f} %; {one:.3f}" for one in ratios)
+    scatter = ratios.std(ddof=1) / ratios.mean()
+    return f"{100.0 * np.median(abs(ratios - 1.0)):.1f} %; {ratios.mean():.3f}, {100.0 * scatter:.1f} %"
 
 
 def main() -> None:
@@ -380,27 +420,30 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--real", action="store_true", help="the logs of the XL330, in place of a simulation")
     parser.add_argument("--wrong", action="store_true", help="these logs, by a servo that is wrong")
+    add_parts(parser)
     given = parser.parse_args()
+    title = "an XL330 under 0.49 kg"
     if given.wrong:
-        done = over_seeds("weigh-wrong", wrong, range(16 * len(WRONG)), given.jobs)
+        done = in_parts("weigh-wrong", wrong, range(16 * len(WRONG)), given)
     elif given.real:
-        done = over_seeds("weigh-xl330", real, range(16), given.jobs)
+        done = in_parts("weigh-xl330", real, range(16 + len(CALIBRATE)), given)
     else:
-        done = over_seeds("weigh", trial, given.seeds, given.jobs)
+        done = in_parts("weigh", trial, given.seeds, given)
+        title = f"{len(done)} servos of one type, weighed loads"
     found = [one for trial_ in done for one in trial_["found"]]
-    hows = WRONG if given.wrong else ("alone", "calibrated")
-    ways = {how: [one for one in found if one["how"] == how] for how in hows}
+    ways = {
+        how: [one for one in found if one["how"] == how] for how in dict.fromkeys(o["how"] for o in found)
+    }
     rows = [row(how, some) for how, some in ways.items()]
-    for how, some in () if given.wrong else ways.items():
-        motions = {one["motion"] for one in some}
-        rows += [row(f"{how}, {m}", [one for one in some if one["motion"] == m]) for m in sorted(motions)]
-    columns = ("weighed", "claimed", "of these hold", "hold", "median error", "bias", "upper/lower")
-    title = (
-        "an XL330 under 0.49 kg"
-        if given.real or given.wrong
-        else f"{len(done)} servos of one type, weighed loads"
-    )
-    show(title, (*columns, "least squares errs", "sysid errs", "verdicts", "CPU"), rows)
+    if not (given.wrong or given.real):
+        rows += [
+            row(f"{how}, {motion}", [one for one in some if one["motion"] == motion])
+            for how, some in ways.items()
+            for motion in sorted({one["motion"] for one in some})
+        ]
+    errors = "median error; mean over truth, scatter"
+    columns = ("weighed", "claimed", "of these hold", "hold", "upper/lower", errors)
+    show(title, (*columns, "least squares: the same", "sysid: the same", "verdicts", "CPU"), rows)
 
 
 if __name__ == "__main__":
