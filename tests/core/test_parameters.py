@@ -255,6 +255,19 @@ def test_a_bounce_is_no_spike(noise: float) -> None:
     assert not spikes(track)[0].size
 
 
+@pytest.mark.medium
+def test_the_impacts_of_real_tosses_are_no_spikes() -> None:
+    """Sixty logs of a cube that hits a board, not part of the project, are read the same to the bit."""
+    if not (paths := sorted((ROOT.parent / "shared" / "data" / "cube_tosses").glob("toss_*.mcap"))):
+        pytest.skip("the cube tosses are not here")
+    dropped, kept = (amhe.System.load("cube_toss", {"logs": {"spikes": way}}) for way in ("drop", "keep"))
+    for path in paths:
+        for key, series in amhe.read_log(path, kept).series.items():
+            found = amhe.read_log(path, dropped)[key]
+            np.testing.assert_array_equal(found.values, series.values)
+            np.testing.assert_array_equal(found.sampled, series.sampled)
+
+
 def test_an_orientation_that_changes_sign_is_no_spike_and_one_that_leaps_is() -> None:
     half = 0.3 * np.sin(2.0 * TIMES)
     quaternions = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=1)
