@@ -31,6 +31,8 @@ from amhe_cli.robots.go1.poses.feed import KINDS
 from amhe_cli.robots.go1.probing.motions import STEADY
 from tests.robots.go1.stand_ins import Emulated, emulating, free_port, repeating, udp
 
+pytestmark = pytest.mark.realtime
+
 ROOT = Path(__file__).parents[2]
 #: Little work, quick motions, and patience with a busy machine.
 QUICK = [

@@ -20,6 +20,8 @@ from amhe_cli.logs import read_log, survey
 from amhe_cli.system.system import System
 from tests.cli.conftest import names
 
+pytestmark = pytest.mark.realtime
+
 
 def rows(out: str) -> list[dict[str, str]]:
     with (Path(out) / "estimates.csv").open() as file:

@@ -16,6 +16,8 @@ from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.model import plant_model
 from amhe_cli.robots.go1.plant import Plant
 
+pytestmark = pytest.mark.realtime
+
 PERIOD = 0.02
 STAND = np.full(12, -1.0)
 

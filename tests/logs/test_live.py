@@ -29,6 +29,8 @@ from amhe_cli.logs.messages.definitions import Definitions
 from benchmarks.watch import free_endpoint, router
 from examples.ros2_arm import zeros
 
+pytestmark = pytest.mark.realtime
+
 JOINTS = Signal("joints", "/joints", ("position",), "sensor_msgs/msg/JointState", ("a", "b"))
 SECOND = 10**9
 

@@ -30,6 +30,8 @@ from tests.clusters import (
 )
 from tests.study.cells_at_play import CODE
 
+pytestmark = pytest.mark.realtime
+
 
 def test_all_that_decides_a_cell_is_in_its_name() -> None:
     cell = Cell("t4", "baseline", 3, setting_of({"control.samples": 16}), "belief: 1", 40.0)

@@ -15,6 +15,8 @@ from amhe_cli.estimation.online.workers import InProcess, InStep, Trouble
 from amhe_cli.system.description.folders import find_system
 from amhe_cli.system.system import System
 
+pytestmark = pytest.mark.realtime
+
 SYSTEM = System.load(find_system("go1_push"))
 
 

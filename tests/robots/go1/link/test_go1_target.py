@@ -31,6 +31,8 @@ from amhe_cli.robots.go1.settings import Go1Settings, deviations
 from tests.robots.go1.link.test_link import QUICK
 from tests.robots.go1.stand_ins import TRUNK, Puppet, Stage, damps, free_port
 
+pytestmark = pytest.mark.realtime
+
 PERIOD = 0.02
 BOX = np.array([0.6, 0.0, 0.15])
 #: A busy machine may hold plans and poses up.

@@ -32,6 +32,8 @@ from amhe_cli.robots.go1.link.sender import RobotSocket, Sender, Share, connecte
 from amhe_cli.robots.go1.settings import Go1Settings
 from tests.robots.go1.stand_ins import FOLDED, Puppet, a_state, damps, repeating, udp
 
+pytestmark = pytest.mark.realtime
+
 ROOT = Path(__file__).parents[4]
 #: As fast as the settings allow; the machine under the tests is slow, so be patient with states.
 QUICK = Go1Settings.model_validate(
@@ -40,7 +42,7 @@ QUICK = Go1Settings.model_validate(
         "connect_time": 4.0, "trips": {"state_age": 0.3, "report_age": 1.0, "packet_gap": 0.2},
     }
 )  # fmt: skip
-HASTY = QUICK.model_copy(update={"connect_time": 0.5})
+HASTY = QUICK.model_copy(update={"connect_time": 1.0})
 CLOCK = Clock()
 
 

@@ -39,6 +39,8 @@ from amhe_cli.robots.go1.settings import Go1Settings
 from amhe_cli.robots.go1.tasks import find_task
 from tests.robots.go1.stand_ins import free_port
 
+pytestmark = pytest.mark.realtime
+
 
 def cycles(ms: float, rollouts: int) -> list:
     step = SimpleNamespace(rollouts=rollouts)

@@ -24,6 +24,8 @@ from amhe_cli.robots.go1.poses.sources import PoseError, UdpPoses, pose_datagram
 from amhe_cli.robots.go1.settings import Go1Settings, PoseSettings
 from tests.robots.go1.stand_ins import free_port, repeating, udp
 
+pytestmark = pytest.mark.realtime
+
 CLOCK = Clock()
 BODIES = ("go1", "box")
 
