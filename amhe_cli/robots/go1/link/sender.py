@@ -18,6 +18,7 @@ from collections import Counter, deque
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -165,7 +166,7 @@ class Contact:
     driven: bool = False
     pace: float = 0.0
     _paced: tuple[int, float] = (0, -math.inf)
-    _echoes: list[float] = field(default_factory=list)
+    _echoes: dict[int, list[float]] = field(default_factory=lambda: {DAMPED: [], SERVO: []})
     _turned: float = -1.0
     _good: int = 0
     _ticks: tuple[int, int] | None = None
@@ -185,7 +186,7 @@ class Contact:
         self._good += 1
         self._ticks = (self._ticks[0] if self._ticks else state.tick, state.tick)
         if not self.complete and self._turned >= 0.0 and (state.modes == self.mode).all():
-            self._echoes.append(arrival - self._turned)
+            self._echoes[self.mode].append(arrival - self._turned)
             self._turned = -1.0
         self.driven = bool((state.modes == SERVO).all() and np.abs(state.torques).max() > _DRIVING)
         self._see_pace(state.tick, arrival)
@@ -203,13 +204,13 @@ class Contact:
 
     @property
     def complete(self) -> bool:
-        """Whether enough echoes have come."""
-        return len(self._echoes) >= _TURNS
+        """Whether enough echoes of either mode have come: a robot that never leaves one follows nothing."""
+        return min(map(len, self._echoes.values())) >= _TURNS // 2
 
     @property
     def round_trip(self) -> float:
         """Time for a command to go there and back [s]; 0 before the first echo."""
-        return statistics.median(self._echoes) if self._echoes else 0.0
+        return statistics.median(echoes) if (echoes := list(chain(*self._echoes.values()))) else 0.0
 
     @property
     def in_step(self) -> bool:

@@ -26,7 +26,7 @@ from amhe_cli.robots.go1.link import link as watch
 from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.machine import Machine
 from amhe_cli.robots.go1.link.mail import Inbox, Phase, StoppedError, Targets
-from amhe_cli.robots.go1.link.packets import SERVO, LinkError, decode_state, encode_state, pressing
+from amhe_cli.robots.go1.link.packets import DAMPED, SERVO, LinkError, decode_state, encode_state, pressing
 from amhe_cli.robots.go1.link.process import SENDER, Child, Clock, Pipe, take_priority, ticks_ahead
 from amhe_cli.robots.go1.link.sender import RobotSocket, Sender, Share, connected
 from amhe_cli.robots.go1.settings import Go1Settings
@@ -573,9 +573,11 @@ def test_the_share_of_states_that_arrive() -> None:
     assert [share.see(tick) for tick in range(1101, 1501, 2)][-1] == 0.5
 
 
-def test_a_robot_that_takes_no_commands_is_noticed(puppet: Puppet) -> None:
-    puppet.change = lambda sent: replace(sent, modes=np.full(12, SERVO))
-    with a_link(puppet, HASTY) as link, pytest.raises(LinkError, match="encrypted"):
+@pytest.mark.parametrize("mode", [SERVO, DAMPED])
+def test_a_robot_that_takes_no_commands_is_noticed(puppet: Puppet, mode: int) -> None:
+    """However long it is asked: either mode is commanded in turn, and its state shows one of them."""
+    puppet.change = lambda sent: replace(sent, modes=np.full(12, mode))
+    with a_link(puppet) as link, pytest.raises(LinkError, match="encrypted"):
         link.connect()
 
 
