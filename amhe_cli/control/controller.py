@@ -167,7 +167,8 @@ class Controller:
         switched = self._behaviour.switches(start.time - period, start.time)
         step = self._sampler.step(evaluate, switched)
         if step.weights.any():
-            targets = np.tensordot(step.weights, sampled[-1][0], axes=1)
+            made = sampled[-1][0]
+            targets = (step.weights @ made.reshape(len(made), -1)).reshape(made.shape[1:])
         else:
             targets = self._targets(move, times, step.mean[None])[0]
         command = move.command + self._sampler.split(step.mean)[1]
@@ -223,7 +224,7 @@ class Controller:
     def _scores(self, x: FloatArray, terms: dict[str, FloatArray], completed: BoolArray) -> Scores:
         knots, _ = self._sampler.split(x)
         means = np.concatenate(list(terms.values())).mean(axis=-1).reshape(len(terms), -1)
-        bent = self._behaviour.knot_weight * (knots**2).sum(axis=-1).mean(axis=-1)
+        bent = self._behaviour.knot_weight / knots.shape[1] * (knots**2).sum(axis=(1, 2))
         cost = means.sum(axis=0) + bent
         named = dict(zip(terms, means, strict=True)) | {"knots": bent}
         return Scores(np.where(completed & np.isfinite(cost), cost, np.inf), named)

@@ -150,16 +150,16 @@ class Mpopi:
             self._refine(x, noisy, scores.cost)
         weights = mppi_weights(scores.cost, self._settings.temperature)
         best = int(np.argmin(scores.cost))
-        if weights.any():
+        finite = scores.cost[np.isfinite(scores.cost)]
+        if finite.size:
             self._best = x[best]
             self.mean = weights @ x
-        finite = scores.cost[np.isfinite(scores.cost)]
         return MpopiStep(
             mean=self.mean,
             weights=weights,
             rollouts=len(x),
             diverged=len(x) - finite.size,
-            effective_samples=float(1.0 / (weights**2).sum()) if weights.any() else 0.0,
+            effective_samples=float(1.0 / (weights @ weights)) if finite.size else 0.0,
             best=float(finite.min()) if finite.size else float("inf"),
             average=float(finite.mean()) if finite.size else float("inf"),
             terms={name: float(term[best]) for name, term in scores.terms.items()},

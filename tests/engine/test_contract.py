@@ -109,7 +109,7 @@ def test_rollouts_do_not_depend_on_their_company(opened: Open) -> None:
     engine = opened(PENDULUM)
     together = engine.rollout(*call)
     engine.rollout(*some(5, seed=3))
-    for i in (0, 11):
+    for i in (0, 11, 11):  # the second time in the simulation that has these parameters already
         alone = engine.rollout(*(part[i : i + 1] for part in call))
         length = call[-1][i]
         np.testing.assert_array_equal(together.qpos[i, :length], alone.qpos[0, :length])
@@ -130,6 +130,10 @@ def test_a_diverged_rollout_is_marked_and_finite(opened: Open, speed: float, res
     assert (~done.completed).nonzero()[0].tolist() == [1]
     assert np.isfinite(done.qpos).all()
     assert np.isfinite(done.qvel).all()
+    qvel[1] = 0.0
+    again, fresh = (e.rollout(theta, qpos, qvel, inputs, np.full(20, 40)) for e in (engine, opened(PENDULUM)))
+    assert again.completed.all(), "nothing is left of it"
+    np.testing.assert_array_equal(again.qpos, fresh.qpos)
     starts, wanted = clips(PENDULUM)
     starts.qvel[2] = speed
     predicted = engine.predict(theta[:3], starts, None, wanted)

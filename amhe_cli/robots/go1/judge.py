@@ -99,9 +99,9 @@ class Judge:
         periods = 1 if not self._left else max(1, round((state.time - self._time) / self._period))
         self._time = state.time
         self._goal_error = float(np.hypot(*(state.box.position[:2] - self._task.path.goal)))
-        self._left += periods * [float(place.left)]
+        self._left += periods * [place.left]
         self._charge(state, periods)
-        self._judge_speed(state, float(place.progress), periods)
+        self._judge_speed(state, place.progress, periods)
         self.fell = has_fallen(state)
         self.arrived = not self.fell and self._has_arrived(state.time)
         return self.over
@@ -310,9 +310,9 @@ def _motion(state: State, task: Task) -> dict[str, float]:
         "foot_y": float(foot[1]),
         "foot_z": float(foot[2]),
         "speed": heading_velocity(state.trunk)[0],
-        "command": task.commanded_speed(float(place.progress)),
+        "command": task.commanded_speed(place.progress),
         "to_goal": float(np.hypot(*(box[:2] - task.path.goal))),
-        "left": float(place.left),
+        "left": place.left,
     }
 
 

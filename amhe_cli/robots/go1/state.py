@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import cos, sin
 from typing import Any
 
 import numpy as np
@@ -69,6 +68,11 @@ class Body:
         yaw = yaw_of(self.orientation)
         return yaw if np.ndim(yaw) else float(yaw)
 
+    @cached_property
+    def compass(self) -> tuple[Any, Any]:
+        """Cosine and sine of the heading, each likewise."""
+        return np.cos(self.yaw), np.sin(self.yaw)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class State:
@@ -90,8 +94,7 @@ class State:
 
 def heading_velocity(body: Body) -> tuple[float, float]:
     """Speed of one body at one instant ahead, and to the left, of its own heading [m/s]."""
-    c, s = cos(body.yaw), sin(body.yaw)
-    x, y, _ = body.velocity.tolist()
+    (c, s), (x, y, _) = body.compass, body.velocity.tolist()
     return x * c + y * s, y * c - x * s
 
 

@@ -86,7 +86,7 @@ class SensorSamples:
         """Samples later than those of `before`, the last `spins`; none with a value that is not finite."""
         times, joints = measured["joints.position"]
         rates, gyro = measured["joints.velocity"][1], measured["imu.angular_velocity"][1]
-        table = np.hstack((times[:, None], joints, rates, gyro))
+        table = np.concatenate((times[:, None], joints, rates, gyro), axis=1)
         good = np.isfinite(table).all(axis=1)
         if len(before):
             good &= times > before[-1, 0]
@@ -94,7 +94,7 @@ class SensorSamples:
         if (times[rows[1:]] <= times[rows[:-1]]).any():
             rows = rows[np.unique(times[rows], return_index=True)[1]]
         table = table[rows]
-        return SensorSamples(table, standing(times)[rows], np.vstack((before[-2:], table[:, _SPIN])))
+        return SensorSamples(table, standing(times)[rows], np.concatenate((before[-2:], table[:, _SPIN])))
 
     def rows(self) -> Iterator[tuple[float, FloatArray, FloatArray, FloatArray]]:
         """Time [s], joints (12,), their rates (12,) and gyro (3,) of one sample after the other."""

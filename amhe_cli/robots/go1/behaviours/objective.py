@@ -7,6 +7,7 @@ is weighted, not the robot's alone: how hard to push for it depends on mass and 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import atan2, copysign, cos, hypot, sin
 from typing import Any
 
 import numpy as np
@@ -140,7 +141,8 @@ def push_terms(
     """
     w = weights
     turned = at.turn * elapsed
-    ahead = trunk.velocity[..., 0] * np.cos(trunk.yaw) + trunk.velocity[..., 1] * np.sin(trunk.yaw)
+    c, s = trunk.compass
+    ahead = trunk.velocity[..., 0] * c + trunk.velocity[..., 1] * s
     _, left = bumper_from_box(trunk, box)
     return _shared_terms(w, trunk, box, height, at, turned) | {
         "robot_speed": w.robot_speed * (ahead - at.speed) ** 2,
@@ -165,9 +167,9 @@ def along_line(box: Body, at: Reference, turned: FloatArray | float) -> tuple[Fl
 
 def bumper_from_box(trunk: Body, box: Body) -> tuple[FloatArray, FloatArray]:
     """Middle of the bumper's front, ahead and left of the box's middle in the box's frame [m], each (...)."""
-    dx = trunk.position[..., 0] + BUMPER * np.cos(trunk.yaw) - box.position[..., 0]
-    dy = trunk.position[..., 1] + BUMPER * np.sin(trunk.yaw) - box.position[..., 1]
-    c, s = np.cos(box.yaw), np.sin(box.yaw)
+    (ahead, aside), (c, s) = trunk.compass, box.compass
+    dx = trunk.position[..., 0] + BUMPER * ahead - box.position[..., 0]
+    dy = trunk.position[..., 1] + BUMPER * aside - box.position[..., 1]
     return c * dx + s * dy, c * dy - s * dx
 
 
@@ -187,19 +189,13 @@ def limited(value: float, limit: float) -> float:
     return max(-limit, min(value, limit))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class Place:
-    """Where points are with respect to a path; each shape (...).
+    """How far along a path, beyond its ends too, and left of it a point is [m]; its heading there [rad]."""
 
-    Args:
-        progress: Distance along the path from its start [m]; it goes on beyond both ends.
-        left: Distance from the path, positive to the left [m].
-        heading: Heading of the path at that point [rad].
-    """
-
-    progress: FloatArray
-    left: FloatArray
-    heading: FloatArray
+    progress: float
+    left: float
+    heading: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,7 +225,7 @@ class Course:
 
     def nearest(self, point: FloatArray, place: Place) -> FloatArray:
         """The point of the path beside a point [m] (2,) whose place is known, shape (2,)."""
-        return point - place.left * np.array([-np.sin(place.heading), np.cos(place.heading)])
+        return point - place.left * np.array([-sin(place.heading), cos(place.heading)])
 
     def points(self, progress: FloatArray) -> FloatArray:
         """Points at distances from the start [m] (...), shape (..., 2)."""
@@ -240,20 +236,19 @@ class Course:
         c, s = np.cos(self.heading), np.sin(self.heading)
         return np.stack((self.start[0] + c * ahead - s * left, self.start[1] + s * ahead + c * left), axis=-1)
 
-    def place(self, points: FloatArray) -> Place:
-        """Progress, distance and heading of points [m] (..., 2) with respect to the path."""
-        dx, dy = points[..., 0] - self.start[0], points[..., 1] - self.start[1]
-        c, s = np.cos(self.heading), np.sin(self.heading)
+    def place(self, point: FloatArray) -> Place:
+        """Progress, distance and heading of a point [m] (2,) with respect to the path."""
+        dx, dy = (point - self.start).tolist()
+        c, s = cos(self.heading), sin(self.heading)
         ahead, left = c * dx + s * dy, c * dy - s * dx
         if self.curvature == 0.0:
-            return Place(ahead, left, np.full_like(ahead, self.heading))
+            return Place(ahead, left, self.heading)
         k = self.curvature
         # Angle about the centre, cut where the path is not: opposite to its middle.
         middle = 0.5 * k * self.length
-        angle = np.arctan2(k * ahead, 1.0 - k * left) - middle
-        turn = middle + np.mod(angle + np.pi, 2.0 * np.pi) - np.pi
-        distance = np.hypot(ahead, left - 1.0 / k)
-        return Place(turn / k, np.sign(k) * (1.0 / abs(k) - distance), self.heading + turn)
+        turn = middle + wrapped(atan2(k * ahead, 1.0 - k * left) - middle)
+        distance = hypot(ahead, left - 1.0 / k)
+        return Place(turn / k, 1.0 / k - copysign(distance, k), self.heading + turn)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -384,7 +384,7 @@ class Sweeping:
     def _contact(self, stance: Plane, box: Body) -> tuple[float, float]:
         """Where to push: the push's line, and where the middle of a foot is that touches the face [m]."""
         s, place = self.shape, stance.place(box.position)
-        astray = float(self.path.place(box.position[:2]).left)
+        astray = self.path.place(box.position[:2]).left
         aside = limited(s.yaw_gain * (stance.turn(box) + s.path_gain * astray), s.yaw_limit)
         return float(place[0]) + aside, float(place[1]) + self.half_width + FOOT_RADIUS
 
@@ -439,10 +439,10 @@ class Sweeping:
 
     def _reference(self, state: State) -> Reference:
         place = self.path.place(state.box.position[:2])
-        speed = self.shape.speed * self.path.tapered(float(place.progress), self.taper)
+        speed = self.shape.speed * self.path.tapered(place.progress, self.taper)
         speed, origin = speed * (state.time >= self._begin), self.path.nearest(state.box.position[:2], place)
         across = self.path.heading + 0.5 * np.pi
-        return Reference(state.time, speed, origin, float(place.heading), yaw=0.0, box_yaw=across)
+        return Reference(state.time, speed, origin, place.heading, yaw=0.0, box_yaw=across)
 
     def _see_feet(self, stance: Plane, state: State) -> FloatArray:
         """All feet in the frame of the standing ones [m], shape (4, 3)."""

@@ -178,21 +178,21 @@ class Helm:
     def on_path(self, state: State) -> Reference:
         """The fixed path reference: what the task demands, whether or not it can be done."""
         place = self._path.place(state.box.position[:2])
-        origin, heading = self._path.nearest(state.box.position[:2], place), float(place.heading)
+        origin, heading = self._path.nearest(state.box.position[:2], place), place.heading
         return Reference(state.time, self._commanded(place), origin, heading, yaw=heading, box_yaw=heading)
 
     def _commanded(self, place: Place) -> float:
-        return self._speed * self._path.tapered(float(place.progress), self._taper)
+        return self._speed * self._path.tapered(place.progress, self._taper)
 
     def reference(self, state: State, overlap: float = 0.0) -> Reference:
         """What the controller is to do now, if the box's face is so far behind its stated place [m]."""
         place, s = self._path.place(state.box.position[:2]), self._steering
         origin = self._path.nearest(state.box.position[:2], place)
-        progress, box_yaw, commanded = float(place.progress), state.box.yaw, self._commanded(place)
+        progress, box_yaw, commanded = place.progress, state.box.yaw, self._commanded(place)
         gone, self._gone = self._gone, max(self._gone, progress)  # noise of a box that stands is no way
-        self._held = limited(self._held + s.path_hold * float(place.left) * (self._gone - gone), s.path_limit)
-        back = limited(s.path_gain * float(place.left) + self._held, s.path_limit)
-        heading = float(place.heading) + self._path.curvature * s.ahead - back
+        self._held = limited(self._held + s.path_hold * place.left * (self._gone - gone), s.path_limit)
+        back = limited(s.path_gain * place.left + self._held, s.path_limit)
+        heading = place.heading + self._path.curvature * s.ahead - back
         missing = wrapped(heading - box_yaw)
         offset = -limited(s.offset_gain * missing, s.offset_limit)
         speed = self._aim(commanded, progress)

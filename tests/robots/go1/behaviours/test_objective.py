@@ -270,9 +270,9 @@ def test_points_are_found_again(
     progress, left = along * path.length, aside * (1.0 if curvature == 0.0 else 1.0 / abs(curvature))
     point, there = beside(path, progress, left)
     place = path.place(point)
-    assert float(place.progress) == pytest.approx(progress, abs=1e-9)
-    assert float(place.left) == pytest.approx(left, abs=1e-9)
-    assert float(place.heading) == pytest.approx(there, abs=1e-9)
+    assert place.progress == pytest.approx(progress, abs=1e-9)
+    assert place.left == pytest.approx(left, abs=1e-9)
+    assert place.heading == pytest.approx(there, abs=1e-9)
     on, _ = beside(path, progress, 0.0)
     np.testing.assert_allclose(path.points(np.array(progress)), on, atol=1e-9)
 
@@ -290,15 +290,15 @@ def test_beyond_its_ends_a_path_goes_on(
     rest = 10.0 if curvature == 0.0 else 2.0 * np.pi / abs(curvature) - path.length
     progress = path.length + beyond * rest if after else -beyond * rest
     place = path.place(beside(path, progress, 0.02)[0])
-    assert float(place.progress) == pytest.approx(progress, abs=1e-8)
-    assert float(place.left) == pytest.approx(0.02, abs=1e-9)
+    assert place.progress == pytest.approx(progress, abs=1e-8)
+    assert place.left == pytest.approx(0.02, abs=1e-9)
 
 
 def test_the_half_circle_of_the_second_task_ends_opposite_to_its_start() -> None:
     path = find_task("t2").path
     np.testing.assert_allclose(path.goal, [0.6, 3.0], atol=1e-12)
     np.testing.assert_allclose(path.points(np.array(0.5 * path.length)), [2.1, 1.5], atol=1e-12)
-    assert float(path.place(path.goal).heading) == pytest.approx(np.pi)
+    assert path.place(path.goal).heading == pytest.approx(np.pi)
     radii = np.hypot(*(path.points(np.linspace(0.0, path.length, 50)) - [0.6, 1.5]).T)
     np.testing.assert_allclose(radii, 1.5)
 
@@ -310,7 +310,7 @@ def test_points_move_along_the_heading_by_what_is_gone(heading: float, curvature
     at, step = np.linspace(0.0, path.length, 12), 1e-6
     points = path.points(at)
     moved = (path.points(at + step) - points) / step
-    headings = path.place(points).heading
+    headings = np.array([path.place(point).heading for point in points])
     np.testing.assert_allclose(moved, np.stack((np.cos(headings), np.sin(headings)), -1), atol=1e-5)
     np.testing.assert_allclose(points[0], path.start, atol=1e-12)
     np.testing.assert_allclose(points[-1], path.goal, atol=1e-12)

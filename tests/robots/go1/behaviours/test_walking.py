@@ -189,7 +189,7 @@ def test_a_box_that_turns_as_it_is_pushed_comes_to_its_path(path: Course, left: 
         state = behind(
             x + step * np.cos(yaw), y + step * np.sin(yaw), yaw - 10.0 * at.offset * step, left=at.offset
         )
-    assert abs(float(path.place(state.box.position[:2]).left)) < 0.05
+    assert abs(path.place(state.box.position[:2]).left) < 0.05
 
 
 @pytest.mark.parametrize(
