@@ -218,7 +218,7 @@ def trial(number: int, robots: list[str], seconds: float) -> dict[str, Any]:
         "robot": Path(robot).stem,
         "wrong": {n: [v, float(drawn[n]), said[n].log, said[n].sd] for n, v in wrong.items()},
         "told": told, "hit": hit, "false": false, "cpu_seconds": spent, "numbers": len(found.lines),
-        "missed": list(found.found.unexplained),
+        "missed": [one.text for one in found.found.unexplained],
         "right": [line.t for name, line in said.items() if name not in wrong and line.sd < abs(line.file)],
     }  # fmt: skip
 

@@ -11,7 +11,15 @@ import numpy as np
 
 from amhe_cli.audit.claims import Claim, Group, claims_of, doubts_of
 from amhe_cli.audit.judge import Findings, Said, chances, contradicted, judged, said, wrong_sheets
-from amhe_cli.audit.suspects import Explanation, Searched, findings_of, rows_of, sheets_of, without_suspects
+from amhe_cli.audit.suspects import (
+    HOPELESS,
+    Explanation,
+    Searched,
+    findings_of,
+    rows_of,
+    sheets_of,
+    without_suspects,
+)
 from amhe_cli.audit.weight import anywhere, weights
 from amhe_cli.check.motion import states_along
 from amhe_cli.core.arrays import BoolArray, FloatArray
@@ -23,7 +31,7 @@ from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.core.statistics import correlation
 from amhe_cli.core.yaml_file import merged
 from amhe_cli.estimation.conclude import Search
-from amhe_cli.estimation.core.result import Identification, Iteration
+from amhe_cli.estimation.core.result import Against, Identification, Iteration
 from amhe_cli.estimation.identification import IdentifyOptions, concluded, searched_for
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.init.folder import Proposal
@@ -184,8 +192,7 @@ def _concluded(
 
     What was `seen` on the way to it counts by its evidence.
     """
-    others = [one for one in (replace(one, likely=one.against(first)) for one in seen) if not one.hopeless]
-    tested, decided = set[Group](), set[Group]()
+    others, tested, decided = list(seen), set[Group](), set[Group]()
     found = concluded(first.search, quick=True)
     judgement = _judgement(found, first, others, decided)
     try:
@@ -199,15 +206,14 @@ def _concluded(
                 break
             group = max(left, key=left.__getitem__)  # the first that something else may explain
             tested.add(group)
-            other = first.rival(searched, looked, group)
-            if isinstance(other.search.finding, SearchState) and other.search.finding.settled:
+            wider = _wider(found)
+            search, other = first.rival(searched, looked, group, wider)
+            if isinstance(search.finding, SearchState) and search.finding.settled:
                 decided.add(group)  # a search that has not ended excludes nothing
-            if not other.hopeless:
-                others.append(other)
-                if other.likely > 0.0:  # the first is one of the others from now on
-                    others = [replace(one, likely=one.likely - other.likely) for one in (first, *others)]
-                    first = others.pop()
-                    found = concluded(first.search, quick=True)
+            if other is not None and other.against(first, wider) > 0.0:
+                first, other = other, first
+                found = concluded(first.search, quick=True)
+            others += [other] if other else []
             judgement = _judgement(found, first, others, decided)
     except KeyboardInterrupt:
         found = replace(found, interrupted=True)
@@ -226,10 +232,10 @@ def _judgement(
     space = first.search.problem.system.space
     at = space.phi_of(found.belief.estimate)
     evidence = findings_of(space, at, found.unbounded, found.information, found.belief.covariance)
-    wider, tests, free = max(_misses(found).values(), default=1.0), [], np.array([])
-    likely = [0.0, *(one.likely if wider == 1.0 else one.against(first, wider=wider) for one in others)]
+    wider, tests, free = _wider(found), [], np.array([])
+    odds = _once({first: 0.0} | {one: one.against(first, wider) for one in others})
     evidence = evidence.under_noise(wider)
-    for one in (first, *others):
+    for one in odds:
         findings = evidence if one is first else one.evidence.under_noise(wider)
         system = one.search.problem.system
         sheets, rows = sheets_of(findings, system, one.claims), rows_of(system, one.claims)
@@ -242,9 +248,21 @@ def _judgement(
             free = chances(
                 said(opened, rows, sheets.file[rows], sheets.right[rows], system.space.log[rows], least).t
             )
-    share = np.exp(np.array(likely) - max(likely))
+    share = np.exp(np.array([*odds.values()]) - max(odds.values()))
     chance = share @ np.array([each for _, each in tests]) / share.sum()
     return _Judgement(evidence, tests[0][0], chance, free)
+
+
+def _once(odds: Mapping[Explanation, float]) -> dict[Explanation, float]:
+    """Of explanations -> logarithm of their odds, the first and those that count: each set of sheets once.
+
+    Its evidence is that of the best values that were found for it; of the first's set, that of the first.
+    """
+    first, counted = next(iter(odds)), dict[frozenset[Group], Explanation]()
+    for one in sorted(odds, key=odds.__getitem__):
+        if odds[one] >= HOPELESS:
+            counted[one.wrong] = one
+    return {first: odds[first]} | {one: odds[one] for one in counted.values() if one.wrong != first.wrong}
 
 
 def _assumed(settings: Mapping[str, Any]) -> AssumedSettings:
@@ -317,14 +335,14 @@ def _unjudged(found: Identification) -> str:
     return "no value explains these logs, and none can be judged by them" if unexplained(found) else ""
 
 
-def unexplained(found: Identification) -> tuple[str, ...]:
+def unexplained(found: Identification) -> tuple[Against, ...]:
     """Why no number can be judged; held-out clips that are missed more make every sd wider instead."""
-    return found.unexplained if len(found.unexplained) > len(_misses(found)) else ()
+    return tuple(one for one in found.unexplained if one.kind != "held out")
 
 
-def _misses(found: Identification) -> Mapping[str, float]:
-    """Channel -> how many times as much held-out clips are missed as fitted ones."""
-    return found.held_out.misses if found.held_out else {}
+def _wider(found: Identification) -> float:
+    """How many times as much held-out clips are missed as fitted ones."""
+    return max(found.held_out.misses.values(), default=1.0) if found.held_out else 1.0
 
 
 def _cure(system: System, found: Identification, evidence: Findings, claim: Claim) -> str:

@@ -10,7 +10,7 @@ looked for from there, and both explanations count by their evidence.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -33,7 +33,7 @@ _ROUNDS = 8
 #: the cost must fall there.
 _FAR, _FALLS = (-2.0, -1.0, 1.0, 2.0), 0.1
 #: Logarithm of the odds of an explanation below which it changes no verdict.
-_HOPELESS = -10.0
+HOPELESS = -10.0
 
 #: A search with some data sheets left open, from where another one ended.
 Searched = Callable[[Collection[Group], Search | None], Search]
@@ -47,13 +47,12 @@ class Explanation:
         search: The search that found them.
         wrong: The sheets that it left open.
         claims: What the file says.
-        likely: Logarithm of its evidence over that of the first explanation.
     """
 
     search: Search
     wrong: frozenset[Group]
     claims: Sequence[Claim]
-    likely: float = 0.0
+    _misfits: dict[tuple[FinalFit, Problem | None], float] = field(default_factory=dict, init=False)
 
     @cached_property
     def evidence(self) -> Findings:
@@ -65,30 +64,32 @@ class Explanation:
         """The data sheets."""
         return sheets_of(self.evidence, self.search.problem.system, self.claims)
 
-    def against(self, first: Explanation, least: bool = False, wider: float = 1.0) -> float:
+    def against(self, first: Explanation, wider: float = 1.0, least: bool = False) -> float:
         """Logarithm of the odds to the first explanation, by Laplace's approximation of their evidence.
 
-        `least`: the most that they can be by this one's clips and values, whatever sheets were wrong.
         `wider`: noise of so many times the sd that the first has left.
+        `least`: the most that they can be by this one's clips and values, whatever sheets were wrong.
         """
-        both = []
+        both, by = [], (first.search.fit, self.search.problem if least else None)
         for one, sheets in ((self, frozenset() if least else self.wrong), (first, first.wrong)):
             space, z = one.search.problem.system.space, one.search.finding.z
             sd, off = one.sheets.sd(sheets), space.phi_of(space.theta_of(z)) - one.sheets.file
-            cost = _misfit(first.search.fit, one.search, self.search.problem if least else None) / wider**2
+            if by not in one._misfits:
+                one._misfits[by] = _misfit(by[0], one.search, by[1])
+            cost = one._misfits[by] / wider**2
             if not (least and one is self):
                 cost += float(((off / sd) ** 2).sum()) + 2.0 * ODDS * len(sheets)
             spread = np.eye(len(sd)) + sd[:, None] * (first.evidence.information / wider**2) * sd
             both.append(-0.5 * (cost + float(np.linalg.slogdet(spread)[1])))
         return both[0] - both[1]
 
-    @property
-    def hopeless(self) -> bool:
-        """Whether it is out of the question."""
-        return self.likely < _HOPELESS
+    def rival(
+        self, searched: Searched, looked: Searched, right: Group, wider: float
+    ) -> tuple[Search, Explanation | None]:
+        """What else explains the logs if one sheet is right, and the search that says so; None: nothing.
 
-    def rival(self, searched: Searched, looked: Searched, right: Group) -> Explanation:
-        """What else explains the logs if one sheet is right; `looked` searches few of the clips."""
+        `looked` searches few of the clips; `wider`: see `against`.
+        """
         at, believed = np.array(self.search.finding.z), frozenset({right})
         rows = list(self.sheets.groups[right])
         space = self.search.problem.system.space
@@ -96,13 +97,11 @@ class Explanation:
         near = replace(self.search, finding=replace(self.search.finding, z=space.clip(at), straight=False))
         free = frozenset(self.sheets.groups) - believed
         other = Explanation(_ended(looked(free, near)), free, self.claims)
-        other = replace(other, likely=other.against(self, least=True))
-        if other.hopeless:
-            return other
+        if other.against(self, wider, least=True) < HOPELESS:
+            return other.search, None
         few = next(iter(wrong_sheets(other.evidence, other.sheets, right=believed)))
         search, wrong = without_suspects(searched, self.claims, few, other.search, believed)
-        other = Explanation(_ended(search), wrong, self.claims)
-        return replace(other, likely=other.against(self))
+        return _ended(search), Explanation(search, wrong, self.claims)
 
 
 def _misfit(fit: FinalFit, of: Search, few: Problem | None) -> float:

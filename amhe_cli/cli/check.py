@@ -104,20 +104,20 @@ def _recorded(system: System, logs: Sequence[Log], texts: Sequence[str]) -> Iter
     """What was reported when logs were read, and at first sight: clocks, spikes, damage, signs, units."""
     from amhe_cli.check.findings import WRONG, Finding
     from amhe_cli.cli.advice import entry_of
-    from amhe_cli.estimation.explain.inputs import foremost, remarks
+    from amhe_cli.estimation.explain.inputs import foremost, remarks, uncommanded
 
     for log in logs:
         for wrong in foremost(system, log):
             yield Finding("recording", wrong.place, wrong.what, WRONG, f"{wrong.remedy} in its signal")
+    for text in uncommanded(system):
+        cure = "log its commands: columns `command_position_NAME`, or a topic that `signals` names"
+        yield Finding("recording", "log", text, WRONG, cure)
     sources = {log.source for log in logs}
     for text in dict.fromkeys([*texts, *(text for log in logs for text in remarks(system, log))]):
         source = next((one for one in sources if text.startswith(f"{one}: ")), "")
         entry = entry_of(text)
         cure = f"amhe help {entry}" if entry else "put it right in the log, or in what the system says of it"
-        if lacks := "no command in the log" in text:
-            cure = "log its commands: columns `command_position_NAME`, or a topic that `signals` names"
-        size = WRONG if lacks else 1.0
-        yield Finding("recording", source or "log", text.removeprefix(f"{source}: "), size, cure)
+        yield Finding("recording", source or "log", text.removeprefix(f"{source}: "), 1.0, cure)
 
 
 def _read(inputs: Inputs, path: Path, logs: Sequence[Path], meshes: bool) -> tuple[System, list[Log]]:

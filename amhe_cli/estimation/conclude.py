@@ -14,7 +14,7 @@ from amhe_cli.core.errors import NOTE
 from amhe_cli.core.log import Window
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.statistics import part_of
-from amhe_cli.estimation.core.result import ClipCount, HeldOut, Identification, Missing
+from amhe_cli.estimation.core.result import Against, ClipCount, HeldOut, Identification, Missing
 from amhe_cli.estimation.explain.explain import explain
 from amhe_cli.estimation.offline.cma import CmaState
 from amhe_cli.estimation.offline.problem import Problem
@@ -158,7 +158,7 @@ def conclude(search: Search, *, quick: bool = False) -> Identification:
 def _evidence(
     fit: FinalFit,
     lines: WithMeans,
-    misfit: Sequence[str],
+    misfit: Sequence[Against],
     rival: Rival | None,
 ) -> Evidence:
     """Evidence for the verdict of each line; of a common mean the same is said as of its first value."""
@@ -211,7 +211,7 @@ def _best(fit: FinalFit, watch: Watch) -> tuple[FinalFit, Rival | None]:
 
 def _judged(
     fit: FinalFit, apart: FinalFit, windows: Sequence[Window], watch: Watch
-) -> tuple[list[Window], HeldOut | None, tuple[str, ...]]:
+) -> tuple[list[Window], HeldOut | None, tuple[Against, ...]]:
     """Clips held out of the fit `apart`, costs and errors on them, and what speaks against every value."""
     validation, notes = with_own_values(apart, windows)
     for text in notes:
@@ -230,9 +230,9 @@ def _judged(
                 "`identify.iterations`"
             )
     else:  # of a search that was cut short, misfit says nothing of the model
-        against, shown, advice = (watch.short,) * bool(against or shown), (), ""
-    for text in against:
-        logger.warning(f"{text}: no value is called identified{advice}")
+        against, shown, advice = (Against("short", watch.short),) * bool(against or shown), (), ""
+    for one in against:
+        logger.warning(f"{one.text}: no value is called identified{advice}")
     forwards = problem.system.match != "effort"
     if held_out and forwards and watch.allows("error against horizon", _predictions(problem, validation)):
         held_out = replace(held_out, horizons=horizon_errors(problem, validation, apart.z))

@@ -71,9 +71,11 @@ def audit_text(lines: Sequence[Line], found: Audit | None, out: object = None) -
 def _against(found: Identification) -> Iterator[str]:
     """What speaks against all numbers of a table."""
     refused = unexplained(found)
-    for text in found.unexplained:
+    for one in found.unexplained:
         yield (
-            f"the logs are not explained: {text}" if refused else f"{text}: every sd is wider by that factor"
+            f"the logs are not explained: {one.text}"
+            if refused
+            else f"{one.text}: every sd is wider by that factor"
         )
     if found.interrupted:
         yield "the search was interrupted: these are the best values so far"

@@ -124,7 +124,7 @@ def identification_page(
 def headline(result: Identification) -> str:
     """The result in one line, with the misfit over the noise."""
     if result.unexplained:  # what to do is the first sentence below it
-        return f"No parameter is identified: {result.unexplained[0].partition(': ')[0]}."
+        return f"No parameter is identified: {result.unexplained[0].text.partition(': ')[0]}."
     told = _verdict_text(result)
     return f"{told}; {misfit_text(result)}." if misfit_text(result) else f"{told}."
 
@@ -155,7 +155,7 @@ def statements(result: Identification) -> list[Statement]:
     stopped = "The search was interrupted: the values are the best that it had found."
     return [
         *([Statement("bad", stopped)] if result.interrupted else []),
-        *(Statement("bad", f"{text[0].upper()}{text[1:]}.") for text in result.unexplained),
+        *(Statement("bad", f"{one.text[0].upper()}{one.text[1:]}.") for one in result.unexplained),
         *held_out_statement(result.held_out),
         *_better(result.held_out),
         *([Statement("mixed", _REFITTED)] if result.clips.refitted else []),

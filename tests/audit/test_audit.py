@@ -19,9 +19,11 @@ from amhe_cli.audit.judge import ODDS, Sheets
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.engine.inverse import forces_along
+from amhe_cli.estimation.core.result import Against
 from amhe_cli.estimation.identification import IdentifyOptions
 from amhe_cli.init.folder import proposed
 from amhe_cli.logs import read_log
+from amhe_cli.report.audit import _against
 
 ARM = """<mujoco><option timestep='0.002'/><worldbody><body name='arm'>
 <joint name='elbow' axis='0 1 0' damping='0.2' armature='0.01'/>
@@ -212,7 +214,7 @@ def test_an_interruption_of_a_second_explanation_ends_the_audit() -> None:
     first = suspects.Explanation(searching(False), frozenset(), [])
     first.__dict__["sheets"] = SimpleNamespace(groups={("arm", "mass"): [0]}, file=np.zeros(1))
     with pytest.raises(KeyboardInterrupt):
-        first.rival(lambda *_: searching(False), lambda *_: searching(True), ("arm", "mass"))
+        first.rival(lambda *_: searching(False), lambda *_: searching(True), ("arm", "mass"), 1.0)
 
 
 @pytest.mark.parametrize("wider", [1.0, 2.0])
@@ -233,7 +235,46 @@ def test_wider_noise_makes_less_of_a_misfit_and_leaves_the_odds_of_sheets(
     right, wrong = explained(frozenset(), 50.0), explained(frozenset({"mass"}), 20.0)
     spread = np.log1p(400.0 / wider**2) - np.log1p(4.0 / wider**2)
     odds = 15.0 / wider**2 - ODDS - 0.5 * spread
-    assert wrong.against(right, wider=wider) == pytest.approx(odds)
+    assert wrong.against(right, wider) == pytest.approx(odds)
+
+
+def test_what_was_seen_is_cut_only_where_the_noise_is_that_of_held_out_clips(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    seen, judged = [SimpleNamespace(wrong=frozenset("a"), against=lambda *_: -15.0)], []
+    monkeypatch.setattr(module, "concluded", lambda search, quick: SimpleNamespace(unexplained=()))
+    monkeypatch.setattr(module, "_unjudged", lambda found: "not judged")
+    monkeypatch.setattr(module, "_judgement", lambda found, first, others, _: judged.extend(others))
+    first: Any = SimpleNamespace(search=None)
+    module._concluded(lambda *_: 0, lambda *_: 0, first, seen)  # type: ignore[arg-type]
+    assert judged == seen
+
+
+def test_a_set_of_sheets_counts_once() -> None:
+    def explained(wrong: str) -> Any:
+        return suspects.Explanation(SimpleNamespace(), frozenset(wrong), [])  # type: ignore[arg-type]
+
+    first, again, one, better, hopeless = (explained(wrong) for wrong in ("a", "a", "b", "b", "c"))
+    kept = module._once({first: 0.0, again: 1.0, one: -1.0, better: -0.5, hopeless: -11.0})
+    assert kept == {first: 0.0, better: -0.5}
+
+
+def test_only_held_out_clips_that_are_missed_more_leave_numbers_judged() -> None:
+    """A search that was cut short says so in one sentence, whatever held-out clips say."""
+    missed = Against("held out", "the model misses joints.position of held-out clips twice as much")
+
+    def found(*texts: Against) -> Any:
+        held_out = SimpleNamespace(misses={"joints.position": 2.0})
+        return SimpleNamespace(unexplained=texts, held_out=held_out, interrupted=False, settled=True)
+
+    assert module.unexplained(found(missed)) == () and not module._unjudged(found(missed))
+    assert module._wider(found(missed)) == 2.0
+    assert list(_against(found(missed))) == [f"{missed.text}: every sd is wider by that factor"]
+    for kind in ("misfit", "left out", "worse", "short"):
+        other = Against(kind, "it misses")
+        assert module.unexplained(found(missed, other)) == (other,)
+        assert module._unjudged(found(other)).startswith("no value explains these logs")
+        assert all("not explained" in text for text in _against(found(missed, other)))
 
 
 def test_first_states_are_those_of_a_search_that_cut_the_same_clips_anew(

@@ -15,6 +15,7 @@ import amhe_cli as amhe
 from amhe_cli.check.findings import Finding, worst_first
 from amhe_cli.check.model import check_model
 from amhe_cli.check.motion import JointMotion, log_findings, motions
+from amhe_cli.cli.check import _recorded
 from amhe_cli.cli.main import run
 from amhe_cli.estimation.design.expected import Expected, expected
 
@@ -180,6 +181,14 @@ def test_what_is_wrong_with_a_log_comes_first(
     assert run(["check", "example:arm", str(tmp_path / "log.csv"), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["findings"]
     assert (found[0]["kind"], found[0]["where"]) == (kind, where) and says in found[0]["cure"]
+
+
+def test_advice_to_log_commands_rests_on_the_system_and_on_no_words() -> None:
+    system = amhe.System.load("pendulum")
+    (found,) = _recorded(system, [], ["run.csv: no command in the log"])
+    assert "command_position_NAME" not in found.cure
+    first, *_ = _recorded(replace(system, inputs=()), [], [])
+    assert first.what.startswith("servo: ") and "command_position_NAME" in first.cure
 
 
 @pytest.mark.medium

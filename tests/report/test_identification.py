@@ -16,6 +16,7 @@ from rich.console import Console
 from amhe_cli.core.files import plain
 from amhe_cli.estimation.core.result import (
     VERDICTS,
+    Against,
     ClipCount,
     HeldOut,
     HorizonError,
@@ -127,7 +128,8 @@ def test_the_page_names_the_command_that_shows_its_result() -> None:
 def test_what_to_do_next_is_to_mend_a_model_that_misses_its_logs() -> None:
     zeros = np.zeros(3)
     row = MissingRow("spring", "hip", "a spring", 0.9, (), {"hip_stiffness": {}}, ("q", zeros, zeros, zeros))
-    missed = replace(identification(), unexplained=("it misses",), missing=Missing((row,), 0.02, 9))
+    against = Against("misfit", "it misses")
+    missed = replace(identification(), unexplained=(against,), missing=Missing((row,), 0.02, 9))
     assert next_steps(missed, "r", True) == [
         "look: amhe view r",
         "mend: amhe identify with --repair tries spring@hip",

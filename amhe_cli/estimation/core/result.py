@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -178,6 +178,21 @@ class HorizonError:
     moved: float
     initial: float
     identified: float
+
+
+@dataclass(frozen=True, slots=True)
+class Against:
+    """What speaks against every value.
+
+    Args:
+        kind: 'misfit': the model misses what was fitted. 'left out': clips that were left out contradict the
+            others. 'worse': held-out clips fit worse than before. 'held out': they are missed more than
+            fitted ones. 'short': the search was cut short.
+        text: It in words.
+    """
+
+    kind: Literal["misfit", "left out", "worse", "held out", "short"]
+    text: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -414,7 +429,7 @@ class Identification:
     clips: ClipCount
     noise_scale: Mapping[str, float]  # channel -> residual sd over declared noise sd
     fits: tuple[Fit, ...]
-    unexplained: tuple[str, ...] = ()  # why no value can be believed
+    unexplained: tuple[Against, ...] = ()  # why no value can be believed
     exact: tuple[str, ...] = ()  # settings of numbers of the model that act and are taken as exact
     interrupted: bool = False
     settled: bool = True  # False: it was still moving, or Ctrl-C or the time limit ended it

@@ -317,6 +317,7 @@ def first_look(
         columns: Columns of the log's table; empty for other formats.
         rng: Generator of the signs of blocks; None: the same in each call.
     """
+    yield from uncommanded(system)
     yield from remarks(system, log, columns)
     yield from (wrong.sentence for wrong in foremost(system, log, rng))
 
@@ -326,8 +327,8 @@ def foremost(system: System, log: Log, rng: np.random.Generator | None = None) -
     return mended(system, [whole(log)], rng or np.random.default_rng(0))[:1]
 
 
-def remarks(system: System, log: Log, columns: Sequence[str] = ()) -> Iterator[str]:
-    """What a log lacks for its system, and what stands in it: the quick part of `first_look`."""
+def uncommanded(system: System) -> Iterator[str]:
+    """A sentence about actuators that act in rollouts, although no signal has their commands."""
     model = system.model
     place = controls(model, system.input_spec) or slice(0, 0)
     given = {at - place.start for source in system.inputs for at in source.columns}
@@ -336,12 +337,16 @@ def remarks(system: System, log: Log, columns: Sequence[str] = ()) -> Iterator[s
         for row in range(model.nactuator)
         if int(model.actuator_ctrladr[row]) not in given and system.match != "effort"
     ]
+    if idle:
+        yield f"{', '.join(idle)}: no command in the log; held at 0, it acts"
+
+
+def remarks(system: System, log: Log, columns: Sequence[str] = ()) -> Iterator[str]:
+    """What a log has that its system does not read, and what stands still in it."""
     read = [name for signal in system.signals for names in signal.columns.values() for name in names]
     read = [name.split("[")[0].split("{")[0] + "*" * ("{" in name) for name in read]  # patterns, roughly
     left = [name for name in columns if not any(fnmatchcase(name.split("[")[0], one) for one in read)]
     left = [name for name in left if read and not name.lower().startswith(("time", "stamp")) and name != "t"]
-    if idle:
-        yield f"{', '.join(idle)}: no command in the log; held at 0, it acts"
     if left:
         yield f"columns that no signal reads: {', '.join(left[:12])}{' ...' * (len(left) > 12)}"
     for key, series in log.series.items():

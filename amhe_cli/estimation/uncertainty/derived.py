@@ -9,7 +9,14 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.statistics import correlation
-from amhe_cli.estimation.core.result import Combination, HeldOut, ParameterResult, Reason, SpanError
+from amhe_cli.estimation.core.result import (
+    Against,
+    Combination,
+    HeldOut,
+    ParameterResult,
+    Reason,
+    SpanError,
+)
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.uncertainty.fit import FinalFit
 from amhe_cli.estimation.uncertainty.ledger import Ledger
@@ -36,7 +43,7 @@ _ROUNDING = 1e-9
 
 
 def body_numbers(
-    system: System, z: FloatArray, ledger: Ledger, rng: np.random.Generator, misfit: Sequence[str]
+    system: System, z: FloatArray, ledger: Ledger, rng: np.random.Generator, misfit: Sequence[Against]
 ) -> tuple[ParameterResult, ...]:
     """Mass, centre of mass and inertia of each body whose `pseudo_inertia` is a parameter.
 
@@ -49,7 +56,7 @@ def body_numbers(
         z: The estimate, shape (d,).
         ledger: Its ledger.
         rng: Source of the draws.
-        misfit: What speaks against every value, in words.
+        misfit: What speaks against every value.
     """
     if not system.edits.bodies:
         return ()
@@ -83,7 +90,7 @@ def body_numbers(
                     shrinkage=1.0 - float(known.sd[0]) if before else 0.0,
                     verdict=verdict,
                     reasons=(
-                        *(Reason("misfit", (line,), 1.0, text) for text in misfit),
+                        *(Reason("misfit", (line,), 1.0, one.text) for one in misfit),
                         *([Reason("prior", (line,), 1.0, f"given {given}")] if given else []),
                     ),
                     budget=known.budget(0),

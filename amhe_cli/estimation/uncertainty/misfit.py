@@ -9,6 +9,7 @@ import numpy as np
 from amhe_cli.core.errors import and_more
 from amhe_cli.estimation.core.agreement import SURPRISE
 from amhe_cli.estimation.core.information import channel_times, split
+from amhe_cli.estimation.core.result import Against
 from amhe_cli.estimation.offline.clips import clip_name
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.uncertainty.fit import FinalFit
@@ -68,7 +69,7 @@ def report_misfit(fit: FinalFit) -> None:
             )
 
 
-def unexplained(fit: FinalFit) -> tuple[str, ...]:
+def unexplained(fit: FinalFit) -> tuple[Against, ...]:
     """Channels that the model misses by so much that no value can be believed, and what to do.
 
     Residuals that are large but independent are noise, however little was declared.
@@ -82,7 +83,7 @@ def unexplained(fit: FinalFit) -> tuple[str, ...]:
             missed, (signal, quantity) = noise[key], key.partition(PART)[0].rsplit(".", 1)
             declared = f"`signals.{signal}.noise.{quantity}={missed:.2g}`"
             advice = f"; if it cannot be better, declare what it misses: {declared}"
-            texts.append(text + advice * (missed < NOISY * moved[key]))
+            texts.append(Against("misfit", text + advice * (missed < NOISY * moved[key])))
     return tuple(texts)
 
 
@@ -109,7 +110,7 @@ def blamed(fit: FinalFit) -> dict[str, tuple[str, ...]]:
     }
 
 
-def left_out(fit: FinalFit) -> tuple[str, ...]:
+def left_out(fit: FinalFit) -> tuple[Against, ...]:
     """Clips that `cost.trim` leaves out and that contradict the values: the others may agree on a wrong one.
 
     Such a clip is missed by MISSED times the noise that the others show, and not by noise of its own.
@@ -129,10 +130,11 @@ def left_out(fit: FinalFit) -> tuple[str, ...]:
     missed, key, clip = max(misses)
     others = len({clip for _, _, clip in misses}) - 1
     more = f" (and so {others} more)" if others else ""
-    return (
+    text = (
         f"the model misses {key} of {clip} by {missed:.0f} times the noise of other clips{more}, and "
-        f"`cost.trim` leaves it out: if nothing else happened there, the others agree on wrong values",
+        f"`cost.trim` leaves it out: if nothing else happened there, the others agree on wrong values"
     )
+    return (Against("left out", text),)
 
 
 def misfits(fit: FinalFit) -> dict[str, tuple[float, bool]]:

@@ -20,7 +20,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.statistics import correlation
 from amhe_cli.estimation.core.agreement import SURPRISE
-from amhe_cli.estimation.core.result import ParameterResult, Reason
+from amhe_cli.estimation.core.result import Against, ParameterResult, Reason
 from amhe_cli.estimation.uncertainty.ledger import Ledger, Source, interval, size
 from amhe_cli.estimation.uncertainty.minimum import Rival
 
@@ -48,7 +48,7 @@ class Evidence:
         ledger: All terms of its error.
         active: Parameters that the logs depend on, shape (d,).
         idle: Why the logs do not depend on the others, by name.
-        misfit: What speaks against every value, in words.
+        misfit: What speaks against every value.
         blamed: What speaks against some values, in words, by their names.
         rival: A second minimum.
         doubled_prior: Where the estimate would move if each parameter's prior sd were doubled, shape (d,).
@@ -61,7 +61,7 @@ class Evidence:
     ledger: Ledger
     active: np.ndarray
     idle: Mapping[str, str]
-    misfit: Sequence[str]
+    misfit: Sequence[Against]
     blamed: Mapping[str, tuple[str, ...]]
     rival: Rival | None
     doubled_prior: FloatArray
@@ -144,7 +144,7 @@ def _reasons(space: ParameterSpace, evidence: Evidence, i: int) -> list[Reason]:
     if not evidence.active[i]:
         text = f"{evidence.idle[name]}: not identifiable, held at its prior"
         return [*reasons, Reason("idle", (name,), 1.0, text)]
-    for text in (*evidence.misfit, *evidence.blamed.get(name, ())):
+    for text in (*(one.text for one in evidence.misfit), *evidence.blamed.get(name, ())):
         reasons.append(Reason("misfit", (name,), 1.0, text))
     total, terms = float(evidence.ledger.covariance[i, i]), []
     ledger = evidence.ledger

@@ -20,7 +20,7 @@ from amhe_cli.core.each_log import averaged, values_on
 from amhe_cli.core.log import Window
 from amhe_cli.estimation.core.agreement import SURPRISE
 from amhe_cli.estimation.core.information import gauss_newton_step, information
-from amhe_cli.estimation.core.result import Fit, HeldOut, SpanError
+from amhe_cli.estimation.core.result import Against, Fit, HeldOut, SpanError
 from amhe_cli.estimation.offline.clips import ClipPool, clip_name
 from amhe_cli.estimation.offline.problem import FEWEST, Problem
 from amhe_cli.estimation.offline.search import SETTLED
@@ -115,12 +115,12 @@ def validate(fit: FinalFit, windows: Sequence[Window]) -> HeldOut | None:
     )
 
 
-def judge(fit: FinalFit, windows: Sequence[Window], held_out: HeldOut) -> tuple[HeldOut, tuple[str, ...]]:
+def judge(fit: FinalFit, windows: Sequence[Window], held_out: HeldOut) -> tuple[HeldOut, tuple[Against, ...]]:
     """Score held-out clips as fitted ones are, and compare them with those, and with the values before.
 
     Returns:
         What was known of them with the costs and errors from fitted first states, and what speaks against
-        every value, in words.
+        every value.
     """
     problem = fit.problem
     cost = problem.cost(windows, fit.scale)
@@ -133,10 +133,11 @@ def judge(fit: FinalFit, windows: Sequence[Window], held_out: HeldOut) -> tuple[
     if worse(
         now.misfit(times) - before.misfit(times), now.information.matrix, fit.posterior.covariance, fit.z
     ):
-        against.append(
+        text = (
             f"held-out clips fit worse than under the prior: with first states fitted, their cost goes from "
             f"{costs[1]:.3g} to {costs[0]:.3g}"
         )
+        against.append(Against("worse", text))
     scale, fitted, misses = {}, {}, {}
     if alike := _fitted_clips(problem, windows):
         same = problem.cost(alike, fit.scale)
@@ -150,9 +151,8 @@ def judge(fit: FinalFit, windows: Sequence[Window], held_out: HeldOut) -> tuple[
         )
         if key in fitted and (ratio := misses_more(held, fitted[key])) is not None:
             misses[key] = ratio
-            against.append(
-                f"the model misses {key} of held-out clips {ratio:.1f} times as much as of fitted ones"
-            )
+            text = f"the model misses {key} of held-out clips {ratio:.1f} times as much as of fitted ones"
+            against.append(Against("held out", text))
     errors = held_out.errors
     if problem.system.match == "effort":  # there are no first states
         costs = [math.nan, math.nan]

@@ -177,11 +177,11 @@ def test_a_clip_that_is_left_out_and_contradicts_the_others_speaks_against_every
     watch.interrupted = True  # no other check
     ended = Search(problem, found, [], watch, problem.system.space)
     short = conclude(ended)
-    assert short.unexplained == (watch.short,) and "it was interrupted" in watch.short
+    assert [one.text for one in short.unexplained] == [watch.short] and "it was interrupted" in watch.short
     assert "the model may lack" not in caplog.text
     result = conclude(replace(ended, finding=replace(found, stage="done")))
     assert {p.verdict for p in result.parameters} == {"model-sensitive"}
-    (reason,) = result.unexplained
+    (reason,) = [one.text for one in result.unexplained]
     assert "of swing 2.40-3.00 s by" in reason and "`cost.trim` leaves it out" in reason
     assert f"{reason}: no value is called identified" in caplog.text
 
@@ -272,9 +272,9 @@ def test_a_warning_names_three_things_and_counts_the_rest(pendulum, swing, caplo
 def test_no_noise_is_advised_that_is_larger_than_all_motion(pendulum, swing) -> None:
     log = swing(4.0)
     (reason, *_) = unexplained(of_wrong_armature(pendulum, log))
-    assert "declare what it misses: `signals.joints.noise.position=0." in reason
+    assert "declare what it misses: `signals.joints.noise.position=0." in reason.text
     degrees = {
         key: replace(log[key], values=np.degrees(log[key].values)) for key in log.series if "joints" in key
     }
     (reason, *_) = unexplained(of_wrong_armature(pendulum, Log(log.dt, {**log.series, **degrees}, "degrees")))
-    assert "joints.position" in reason and "declare" not in reason
+    assert "joints.position" in reason.text and "declare" not in reason.text

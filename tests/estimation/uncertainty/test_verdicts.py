@@ -9,7 +9,7 @@ import pytest
 
 from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.core.statistics import Z90
-from amhe_cli.estimation.core.result import ParameterResult
+from amhe_cli.estimation.core.result import Against, ParameterResult
 from amhe_cli.estimation.uncertainty.derived import combinations
 from amhe_cli.estimation.uncertainty.ledger import Kind, Ledger, Source, Term, term_of
 from amhe_cli.estimation.uncertainty.minimum import Rival
@@ -167,7 +167,7 @@ def test_a_value_that_the_logs_hardly_determine_says_how_far_it_went() -> None:
     ("sd", "verdict"), [(0.05, "model-sensitive"), (0.5, "model-sensitive"), (0.8, "prior")]
 )
 def test_what_speaks_against_the_model_makes_every_number_model_sensitive(sd: float, verdict: str) -> None:
-    for result in verdicts(SPACE, evidence(sd, misfit=["held-out clips fit worse"])):
+    for result in verdicts(SPACE, evidence(sd, misfit=[Against("worse", "held-out clips fit worse")])):
         assert (result.verdict, texts(result)[0]) == (verdict, "held-out clips fit worse")
 
 

@@ -69,7 +69,7 @@ def test_a_log_that_another_load_held_out_is_model_sensitive(pendulum, swing, ca
     with caplog.at_level(logging.WARNING):
         result = identify(pendulum, [swing(4.0)], [swing(2.0, seed=5, theta=prior)], IdentifyOptions())
     assert values_of(result) == {"model-sensitive"}
-    assert "held-out clips fit worse than under the prior" in result.unexplained[0]
+    assert "held-out clips fit worse than under the prior" in result.unexplained[0].text
     assert "no value is called identified" in caplog.text
 
 
@@ -78,7 +78,7 @@ def test_a_load_that_no_fitted_log_carried_does_not_carry_over(pendulum, swing) 
     heavy = TRUTH * [1.15, 1.0, 1.0, 1.0]
     result = identify(pendulum, [swing(4.0)], [swing(2.5, seed=5, theta=heavy)], IdentifyOptions())
     assert values_of(result) == {"model-sensitive"}
-    assert any("of held-out clips" in reason for reason in result.unexplained)
+    assert any("of held-out clips" in reason.text for reason in result.unexplained)
 
 
 @pytest.mark.medium
@@ -103,7 +103,7 @@ def test_errors_are_told_for_each_channel_over_time(pendulum, swing) -> None:
 def test_a_noise_that_was_declared_too_small_is_no_difference_between_clips(pendulum, swing) -> None:
     result = identify(pendulum, [swing(5.0, noise=7.0)], None, IdentifyOptions())
     assert result.noise_scale["joints.position"] > 5.0
-    assert not any("held-out" in text for text in result.unexplained)
+    assert not any("held-out" in one.text for one in result.unexplained)
 
 
 @pytest.mark.medium
@@ -121,7 +121,7 @@ def test_what_the_model_misses_says_what_to_do(pendulum, swing, caplog, steps, a
     )
     assert "the model misses joints.position by" in caplog.text
     assert values_of(result) <= {"model-sensitive", "prior"}
-    (missed, *_) = [reason for reason in result.unexplained if "times its noise" in reason]
+    (missed, *_) = [one.text for one in result.unexplained if "times its noise" in one.text]
     assert "the commands' delay" in missed and ("`signals.joints.noise.position=" in missed) == as_noise
 
 
