@@ -18,6 +18,7 @@ from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.init.drives import delay, measured_joints, moved_by, short, zeros
 from amhe_cli.init.folder import Proposal
 from amhe_cli.init.signals import Guess
+from amhe_cli.system.description.targets import IN_NO_FILE
 from amhe_cli.system.model.elements import driven_joint
 from amhe_cli.system.model.files import compiled
 from amhe_cli.system.numbers import ModelNumber, numbers_of
@@ -122,12 +123,14 @@ def claims_of(proposal: Proposal, settings: AssumedSettings) -> list[Claim]:
 
 
 def doubts_of(proposal: Proposal) -> list[Guess]:
-    """What no file claims, and every log depends on: the zeros of sensors, and the delay of commands."""
+    """What no file claims, and logs depend on: zeros of sensors, commands' delay, what a system adds."""
     model, signals = compiled(proposal.spec), proposal.guesses
+    sets = {one.name: one.entry["targets"][0].get("set") for one in proposal.parameters}
     if proposal.match == "effort":
-        return [one for one in proposal.parameters if one.entry["targets"][0].get("set") == "bias"]
+        return [one for one in proposal.parameters if sets[one.name] in ("bias", *IN_NO_FILE)]
     found = list(zeros(model, measured_joints(model, signals), signals))
-    return found + (list(delay(model.opt.timestep)) if moved_by(signals) else [])
+    found += delay(model.opt.timestep) if moved_by(signals) else []
+    return found + [one for one in proposal.parameters if sets[one.name] in IN_NO_FILE]
 
 
 def sheet_of(number: ModelNumber, model: mujoco.MjModel, settings: AssumedSettings) -> float:

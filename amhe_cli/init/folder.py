@@ -47,6 +47,7 @@ from amhe_cli.logs import read_signals, survey
 from amhe_cli.logs.containers.table_file import TYPE as TABLE
 from amhe_cli.system.description.doubts import doubts_of
 from amhe_cli.system.description.folders import FILE_NAME
+from amhe_cli.system.description.targets import IN_NO_FILE
 from amhe_cli.system.model.elements import commanded, names_of
 from amhe_cli.system.model.files import compiled, read_spec
 from amhe_cli.system.model.urdf import UrdfOptions, is_urdf
@@ -111,15 +112,20 @@ class Proposal:
 
 
 def proposed_as(model_path: Path, system: System, urdf: UrdfOptions | None = None) -> Proposal:
-    """A proposal with another model and the signals of a system."""
+    """A proposal with another model, and of a system the signals, and parameters that no model file has."""
     description = yaml.safe_load(system.text)
     guesses = [
         Guess(name, {k: v for k, v in entry.items() if k != "noise"}, "", entry.get("noise") or {})
         for name, entry in description["signals"].items()
     ]
     settings = description.get("settings") or {}
+    parameters = [
+        Guess(name, entry, "")
+        for name, entry in description["parameters"].items()
+        if all(target["set"] in IN_NO_FILE for target in entry["targets"])
+    ]
     spec = read_spec(model_path, urdf)
-    return Proposal(spec, is_urdf(model_path), guesses, [], [], [], [], system.match, settings)
+    return Proposal(spec, is_urdf(model_path), guesses, parameters, [], [], [], system.match, settings)
 
 
 def proposed(

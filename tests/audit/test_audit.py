@@ -15,15 +15,17 @@ import pytest
 from amhe_cli.audit import audit as module
 from amhe_cli.audit import suspects
 from amhe_cli.audit.audit import audit
+from amhe_cli.audit.claims import claims_of, doubts_of
 from amhe_cli.audit.judge import ODDS, Sheets
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.engine.inverse import forces_along
 from amhe_cli.estimation.core.result import Against
 from amhe_cli.estimation.identification import IdentifyOptions
-from amhe_cli.init.folder import proposed
+from amhe_cli.init.folder import proposed, proposed_as
 from amhe_cli.logs import read_log
 from amhe_cli.report.audit import _against
+from amhe_cli.system.system import System
 
 ARM = """<mujoco><option timestep='0.002'/><worldbody><body name='arm'>
 <joint name='elbow' axis='0 1 0' damping='0.2' armature='0.01'/>
@@ -300,6 +302,17 @@ def test_first_states_are_those_of_a_search_that_cut_the_same_clips_anew(
     for start, misfit in ((0, 3.0), (5, 7.0)):
         of: Any = SimpleNamespace(fit=fit(start))
         assert suspects._misfit(fit(0), of, None) == misfit
+
+
+def test_what_a_system_folder_adds_to_a_file_is_unknown_too() -> None:
+    """A servo's supply and friction that grows with the load stand in no model file; its gain does."""
+    folder = Path(__file__).parents[2] / "examples" / "systems" / "xl330"
+    proposal = proposed_as(folder / "model.xml", System.load(folder))
+    names = [one.name for one in doubts_of(proposal)]
+    assert names == ["pendulum_offset", "command_delay", "back_emf", "supply_sag", "load_friction"]
+    claimed = [claim.parameter for claim in claims_of(proposal, AssumedSettings())]
+    assert {"servo_gain", "load_mass"} < set(claimed) and not set(names) & set(claimed)
+    assert set(proposal.system("xl330").space.names) == {"back_emf", "supply_sag", "load_friction"}
 
 
 @pytest.mark.parametrize("given", [0, {"gain": 0.0}])

@@ -357,6 +357,12 @@ SETTERS: Mapping[str, Setter] = {
 SPECIAL: Mapping[str, list[str]] = {"pseudo_inertia": ["body"], "command_delay": ["actuator"]}
 #: All words that `set:` may be.
 WORDS = (*SETTERS, *SPECIAL)
+#: Words of numbers that no model file has: gears' friction, and a servo's firmware and supply.
+IN_NO_FILE = tuple(
+    word
+    for word, setter in SETTERS.items()
+    if any(cells in (_GEAR["joint"], _SERVO["actuator"]) for cells in setter.cells.values())
+)
 
 
 def unit_of(target: TargetEntry, model: mujoco.MjModel) -> str:
