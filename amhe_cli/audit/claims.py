@@ -125,12 +125,13 @@ def claims_of(proposal: Proposal, settings: AssumedSettings) -> list[Claim]:
 def doubts_of(proposal: Proposal) -> list[Guess]:
     """What no file claims, and logs depend on: zeros of sensors, commands' delay, what a system adds."""
     model, signals = compiled(proposal.spec), proposal.guesses
-    sets = {one.name: one.entry["targets"][0].get("set") for one in proposal.parameters}
     if proposal.match == "effort":
-        return [one for one in proposal.parameters if sets[one.name] in ("bias", *IN_NO_FILE)]
+        return [one for one in proposal.parameters if one.entry["targets"][0].get("set") == "bias"]
     found = list(zeros(model, measured_joints(model, signals), signals))
     found += delay(model.opt.timestep) if moved_by(signals) else []
-    return found + [one for one in proposal.parameters if sets[one.name] in IN_NO_FILE]
+    own = [one for one in proposal.parameters if one.entry["targets"][0].get("set") in IN_NO_FILE]
+    taken = [target for one in own for target in one.entry["targets"]]
+    return [one for one in found if one.entry["targets"][0] not in taken] + own
 
 
 def sheet_of(number: ModelNumber, model: mujoco.MjModel, settings: AssumedSettings) -> float:

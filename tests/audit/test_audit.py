@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -305,14 +305,16 @@ def test_first_states_are_those_of_a_search_that_cut_the_same_clips_anew(
 
 
 def test_what_a_system_folder_adds_to_a_file_is_unknown_too() -> None:
-    """A servo's supply and friction that grows with the load stand in no model file; its gain does."""
+    """A zero, a servo's supply and friction that grows with the load stand in no file; its gain does."""
     folder = Path(__file__).parents[2] / "examples" / "systems" / "xl330"
     proposal = proposed_as(folder / "model.xml", System.load(folder))
     names = [one.name for one in doubts_of(proposal)]
-    assert names == ["pendulum_offset", "command_delay", "back_emf", "supply_sag", "load_friction"]
+    assert names == ["back_emf", "supply_sag", "load_friction", "zero", "delay"]
+    alone = replace(proposal, parameters=[])
+    assert [one.name for one in doubts_of(alone)] == ["pendulum_offset", "command_delay"]
     claimed = [claim.parameter for claim in claims_of(proposal, AssumedSettings())]
     assert {"servo_gain", "load_mass"} < set(claimed) and not set(names) & set(claimed)
-    assert set(proposal.system("xl330").space.names) == {"back_emf", "supply_sag", "load_friction"}
+    assert set(proposal.system("xl330").space.names) == set(names)
 
 
 @pytest.mark.parametrize("given", [0, {"gain": 0.0}])

@@ -357,11 +357,14 @@ SETTERS: Mapping[str, Setter] = {
 SPECIAL: Mapping[str, list[str]] = {"pseudo_inertia": ["body"], "command_delay": ["actuator"]}
 #: All words that `set:` may be.
 WORDS = (*SETTERS, *SPECIAL)
-#: Words of numbers that no model file has: gears' friction, and a servo's firmware and supply.
-IN_NO_FILE = tuple(
-    word
-    for word, setter in SETTERS.items()
-    if any(cells in (_GEAR["joint"], _SERVO["actuator"]) for cells in setter.cells.values())
+#: Words of numbers that no model file has: of signals, gears' friction, a servo's firmware and supply.
+IN_NO_FILE = (
+    "command_delay",
+    *(
+        word
+        for word, setter in SETTERS.items()
+        if not setter.cells or {*_GEAR.values(), *_SERVO.values()}.intersection(setter.cells.values())
+    ),
 )
 
 
