@@ -47,7 +47,8 @@ def audit(session: Session, given: Given) -> None:
 
     MODEL is an MJCF or URDF file, or menagerie:NAME. Instead of logs, give another model to list what
     differs; or give the folder of a result, and the file that it is to be held against with --against.
-    To try it: amhe audit example:arm example:arm. --system DIR takes the signals of a system folder.
+    To try it: amhe audit example:arm example:arm. --system DIR takes from a system folder its signals, and
+    parameters that no model file has: zeros, delays, a servo's supply.
     """
     from amhe_cli.cli.inputs import model_file
 

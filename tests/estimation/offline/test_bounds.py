@@ -14,6 +14,7 @@ from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.states import touching
 from amhe_cli.estimation.core.information import marginalised, step_within
+from amhe_cli.estimation.core.result import Against
 from amhe_cli.estimation.identification import IdentifyOptions, identify
 from amhe_cli.estimation.offline import problem as module
 from amhe_cli.estimation.offline import search
@@ -113,7 +114,10 @@ def test_numbers_of_a_body_have_verdicts_as_parameters_have() -> None:
     mass = next(b for b in body_numbers(made, np.zeros(10), owing, rng, ()) if b.name == "link.mass")
     assert (mass.verdict, mass.given) == ("conditional", "your prior of x")
     assert [reason.text for reason in mass.reasons] == ["given your prior of x"]
-    missed = {b.name: b for b in body_numbers(made, np.zeros(10), noise(known), rng, ("it misses",))}
+    missed = {
+        b.name: b
+        for b in body_numbers(made, np.zeros(10), noise(known), rng, (Against("misfit", "it misses"),))
+    }
     assert missed["link.mass"].verdict == "model-sensitive"
     assert [reason.text for reason in missed["link.mass"].reasons] == ["it misses"]
 
