@@ -86,6 +86,7 @@ def one_of_each(folder: Path) -> dict[str, Callable[[], Path]]:
         "epoch": written("epoch", text(header(), first=1.7e9)),
         "arrays": written("arrays", f"type,timestamp,q,dq\n{arrays}\n"),
         "words": written("words", plain.replace("\n", ",word\n")),
+        "an Arduino's": written("micros", text(header(time="micros"), factor=1e6)),
         "time by its unit": written("zeit", text(header(time="Zeit [ms]"), factor=1e3)),
         "degrees": written("degrees", f"TIME,q1 [DEG],q2 (Degree),dq1 [deg/s],dq2 [dps]\n{in_degrees}\n"),
         "unsorted": written("unsorted", "\n".join(shuffled) + "\n"),

@@ -26,9 +26,17 @@ TYPE, ENCODING = "table/msg/Row", "table"
 #: off by hundreds of nanoseconds.
 START = "start_ns"
 #: Names of a time column, the best first; a unit may follow.
-_TIMES = ("time", "t", "timestamp", "stamp", "datetime", "date", "ts", "clock", "sec", "secs", "seconds")
+_TIMES = (
+    *("time", "t", "timestamp", "stamp", "datetime", "date", "ts", "clock", "sec", "secs", "seconds"),
+    *("millis", "milliseconds", "micros", "microseconds"),
+)
 #: Unit of a time column -> nanoseconds.
-_NANOSECONDS = {"s": 1e9, "sec": 1e9, "seconds": 1e9, "ms": 1e6, "us": 1e3, "µs": 1e3, "ns": 1.0}
+_NANOSECONDS = {
+    **dict.fromkeys(("s", "sec", "seconds"), 1e9),
+    **dict.fromkeys(("ms", "millis", "milliseconds"), 1e6),
+    **dict.fromkeys(("us", "µs", "micros", "microseconds"), 1e3),
+    "ns": 1.0,
+}
 _BRACKETS = re.compile(r"^(.*?)\s*[\[({<]\s*([^\d\])}>][^\])}>]*?)\s*[\])}>]$")
 _SUFFIX = re.compile(r"^(.+)_(deg|ms|us|ns|rpm|mm)$", re.IGNORECASE)
 
@@ -152,8 +160,8 @@ def _clock(path: Path, columns: Sequence[Column], rows: FloatArray) -> tuple[int
     place = sum(c.count or 1 for c in columns[:number])
     if columns[number].kind == "date":
         return place, 1.0
-    unit = unit_of(columns[number].name)[1].lower()
-    return place, _NANOSECONDS.get(unit) or _guessed_unit(rows[:, place])
+    name, unit = map(str.lower, unit_of(columns[number].name))
+    return place, _NANOSECONDS.get(unit) or _NANOSECONDS.get(name) or _guessed_unit(rows[:, place])
 
 
 def clock_of(columns: Sequence[Column]) -> int | None:
