@@ -199,7 +199,7 @@ def _drives(model: mujoco.MjModel, joints: IntArray) -> Iterator[Doubt]:
             "dry friction": model.dof_frictionloss[dof],
         }
         lacks = [word for word, value in values.items() if value == 0.0]
-        said = f"it has no {' and no '.join(lacks)}"
+        said = f"no {' and no '.join(lacks)}"
         yield "drive", _name(model, "joint", joint), said, 1.0 + 0.5 * len(lacks)
     moved: dict[tuple[int, str], list[str]] = {}
     for row in range(model.nu):

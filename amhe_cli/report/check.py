@@ -16,6 +16,7 @@ from amhe_cli.estimation.core.result import ParameterResult
 from amhe_cli.estimation.design.expected import Expected
 from amhe_cli.report import numbers
 from amhe_cli.report.page import Section, Statement, page
+from amhe_cli.report.parameters import MANY
 from amhe_cli.report.tables import NUMBER, TEXT, VERDICT, Table, rich_table
 from amhe_cli.system.system import System
 from amhe_cli.web.plots import shown_unit
@@ -78,12 +79,8 @@ def print_expected(hope: Expected, moved: Sequence[JointMotion], console: Consol
             console.print()
             console.print(rich_table(table))
     console.print()
-    alike: dict[str, list[str]] = {}
-    for p in hope.lines:
-        alike.setdefault(_LEFT_OPEN.sub("", _why(hope, p)), []).append(p.name)
-    for why, names in alike.items():
-        if why:
-            console.print(f"{numbers.some(names)}: {why}", soft_wrap=True)
+    for why, names in _alike(hope).items():
+        console.print(f"{numbers.some(names)}: {why}", soft_wrap=True)
     for text in _together(hope)[:_TOGETHER]:
         console.print(f"known together: {text}", soft_wrap=True)
     console.print(_time(hope))
@@ -136,6 +133,7 @@ def check_page(
                 "What a fit will say",
                 text=f"From slopes near the estimate of a few clips. {_time(hope)}.",
                 table=_expected_table(hope),
+                items=[f"{numbers.joined(n)}: {why}" for why, n in _alike(hope).items() if len(n) >= MANY],
             ),
         ]
         if known := _together(hope):
@@ -189,7 +187,8 @@ def _expected_table(hope: Expected) -> Table:
         for p, prior in zip(hope.lines, priors, strict=True)
     ]
     looks = ("name", VERDICT, NUMBER, NUMBER)
-    remarks = [_why(hope, p) for p in hope.lines]
+    shared = {name for names in _alike(hope).values() if len(names) >= MANY for name in names}
+    remarks = ["" if p.name in shared else _why(hope, p) for p in hope.lines]  # these stand below the table
     return Table(("parameter", "verdict", "expected sd", "prior"), looks, rows, remarks)
 
 
@@ -217,6 +216,15 @@ def _why(hope: Expected, p: ParameterResult) -> str:
     """Why a parameter will not be told, and what would cure it; '' of one that will."""
     reason = hope.idle.get(p.name) or next((one.text for one in p.reasons), "these logs say little of it")
     return "; ".join(filter(None, (reason, _cure(p)))) if p.verdict != "identified" else ""
+
+
+def _alike(hope: Expected) -> dict[str, list[str]]:
+    """Why parameters will not be told -> those of which that is said."""
+    alike: dict[str, list[str]] = {}
+    for p in hope.lines:
+        if why := _LEFT_OPEN.sub("", _why(hope, p)):
+            alike.setdefault(why, []).append(p.name)
+    return alike
 
 
 def _cure(p: ParameterResult) -> str:

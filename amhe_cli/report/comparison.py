@@ -31,11 +31,11 @@ def comparison_table(names: Sequence[str], horizons: Sequence[AtHorizon], best: 
         units = list(dict.fromkeys(unit for _, unit in at.errors))
         for i, name in enumerate(names):
             after, clips = (
-                (f"{at.horizon:.3g} s{' (end)' * at.to_end}", str(at.clips)) if i == 0 else ("", "")
+                (f"after {at.horizon:.3g} s{' (end)' * at.to_end}", str(at.clips)) if i == 0 else ("", "")
             )
             error = ", ".join(sized(together(at, i, unit), unit) for unit in units)
             rows.append((after, clips, name, error, "" if i == best else _ratio(at, i, best)))
-    head = ("after", "clips", "model", "error", f"over that of {names[best]} (95 %)")
+    head = ("", "clips", "model", "error", f"over that of {names[best]} (95 %)")
     return Table(head, ("", NUMBER, "name", STRONG, NUMBER), rows)
 
 

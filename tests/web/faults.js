@@ -71,7 +71,7 @@
     const shown = (one) => one.checkVisibility({ visibilityProperty: true });
     for (const one of page.querySelectorAll("figure")) if (shown(one) && !one.querySelector("svg, canvas, img, picture")) say("an empty figure", one.className);
     for (const one of page.querySelectorAll(".panel")) if (shown(one) && ![...one.querySelectorAll("path")].some((path) => path.getAttribute("d")?.length > 1)) say("an empty panel", one.textContent);
-    for (const one of page.querySelectorAll("td.name + td.judged + td.strong")) if (shown(one) && one.getBoundingClientRect().right > one.closest(".wide").getBoundingClientRect().right + 1) say("an estimate out of sight", one.textContent);
+    for (const one of page.querySelectorAll(".wide")) if (shown(one) && one.scrollWidth > one.clientWidth + 1) say("a table that scrolls", one.textContent);
     for (const one of page.querySelectorAll("img")) if (shown(one) && !one.naturalWidth) say("an empty picture", one.alt);
     for (const one of page.querySelectorAll("canvas")) {
       if (!shown(one) || !one.clientWidth) continue;

@@ -236,7 +236,7 @@ def final(groups: Groups, task: str, floor: Floor) -> Iterator[Panel]:
             Curve(first["foot_x"], first["foot_y"], "foot", "violet"),
         ]
         missed = group.spread("goal_error_m").mean
-        yield Panel(f"{group.mode}: y; e_g {missed:.3f} m", lines, "m", "x [m]", equal=True)
+        yield Panel(f"{group.mode}, e_g {missed:.3f} m: y", lines, "m", "x [m]", equal=True)
 
 
 def _outline(
