@@ -221,8 +221,8 @@ def _sections(replay: Replay, fits: Sequence[Fit], record: Mapping[str, Any]) ->
     for clip in clips:
         yield Section(
             f"Measured against predicted, {clip[0].clip}",
-            text="The windows that were used with the smallest, the median and the largest misfit. Before: with "
-            "the estimate before the replay; after: with the estimate after the window."
+            text="The windows that were used with the smallest, the median and the largest misfit. "
+            "Before: with the estimate before the replay; after: with the estimate after the window."
             if clip is clips[0]
             else "",
             figure=figures.fit_figure(clip),

@@ -157,7 +157,9 @@ def numbers(text: str) -> list[tuple[float, float]]:
 
 
 @pytest.mark.medium
-def test_the_example_prints_what_the_page_of_verdicts_shows(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_the_example_prints_what_the_page_of_verdicts_shows(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
     page = (MODELS.parent / "docs" / "verdicts.md").read_text(encoding="utf-8")
     _, _, shown = page.partition("$ amhe identify example:pendulum\n")
     shown, _, _ = shown.partition("\nreport: ")

@@ -302,7 +302,9 @@ def test_the_page_says_where_each_interval_comes_from(html: str) -> None:
         "prior 100 %",
     ]  # fmt: skip
     assert fold.count("width:60.0%;--c:var(--mixed)") == 1 and "with twice the prior's sd" in unescape(fold)
-    assert len(re.findall(r'<td class="number"[^>]*>10 %</td>', fold)) == 4, "by how much of its sd each estimate would move"
+    assert len(re.findall(r'<td class="number"[^>]*>10 %</td>', fold)) == 4, (
+        "by how much of its sd each estimate would move"
+    )
     assert "numbers of the model that are no parameters" in fold and "identify.model_error" not in fold
 
 
