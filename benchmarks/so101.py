@@ -1,12 +1,14 @@
 """A real SO-101 arm (docs/real.md): what do friction of gears and servos as they are built buy?
 
     python benchmarks/so101.py [--jobs 3] [--max-time 420] [--variants 0,3]
+    python benchmarks/so101.py --lifting
 
 Four motions are fitted, and the figure eight is predicted, by the example system and by others that add what
 the arm's Feetech STS3215 is at 12 V and gain 32: one set of numbers for all joints; friction joint by joint;
 all friction, damping and armature joint by joint, with sag and back-EMF; and the friction model M6 by joint.
 Errors are rms over the six joints, as a ratio to those of the maker's MJCF on the same clips; once more where
 the arm moves freely, since in a third of the figure eight the gripper touches something (docs/real.md).
+`--lifting` shows what friction takes while joints move slowly, with gravity and against it.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 from common import DATA, PROJECT, over_seeds, show
 
@@ -39,6 +42,8 @@ SERVO = {
 
 #: The shoulder's lift [rad] above which the gripper's motion is held up: errors bend there in three joints.
 PRESSES = 0.41
+#: Stiffness of the servos at 12 V and gain 32 [N m/rad].
+GAIN = 28.9
 #: A filter of the targets, which the model needs a time constant for.
 FILTER = {
     "filter": {
@@ -55,7 +60,7 @@ def _linear(nominal: float, sd: float, bounds: list[float], targets: list[dict[s
 
 def systems() -> dict[str, dict[str, Any]]:
     """Parameters over those of the example, by variant."""
-    gains = {f"{joint}_gain": {"nominal": 28.9, "bounds": [3, 300], "prior_sd": 0.3} for joint in JOINTS}
+    gains = {f"{joint}_gain": {"nominal": GAIN, "bounds": [3, 300], "prior_sd": 0.3} for joint in JOINTS}
     zeros = {f"{joint}_zero": {"bounds": [-1, 1], "prior_sd": 0.1} for joint in JOINTS[1:4]}
     shared = {
         word: _linear(nominal, sd, bounds, [{kind: "*", "set": word}])
@@ -154,6 +159,35 @@ def trial(number: int) -> dict[str, Any]:
     }
 
 
+def lifting() -> None:
+    """Medians in the slow motion: the torque that `GAIN` makes, and gravity's by the masses of the MJCF."""
+    system = amhe.System.load(PROJECT / "examples" / "systems" / "so101", warn=False)
+    log = amhe.read_log(DATA / "so101" / "friction_gravity", system)
+    rows = np.flatnonzero(log["joints.position"].sampled)
+    angles, targets = (log[f"{name}.position"].values[rows] for name in ("joints", "targets"))
+    smooth = [np.convolve(np.pad(angle, 7, mode="edge"), np.full(15, 1 / 15), "valid") for angle in angles.T]
+    speeds = np.degrees(np.gradient(np.transpose(smooth), rows * log.dt, axis=0))
+    model, data = system.model, mujoco.MjData(system.model)
+    joints = [model.joint(name) for name in JOINTS]
+    places, dofs = [int(one.qposadr[0]) for one in joints], [int(one.dofadr[0]) for one in joints]
+    gravity = np.empty_like(angles)
+    for i, angle in enumerate(angles):
+        data.qpos[places] = angle
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_rne(model, data, 0, data.qfrc_bias)
+        gravity[i] = data.qfrc_bias[dofs]
+    up, weight, slow = np.sign(gravity), abs(gravity), (abs(speeds) > 2.0) & (abs(speeds) < 6.0)
+    motor, table = up * GAIN * (targets - angles), []
+    for j, name in enumerate(JOINTS):
+        ways = [(slow & (way * up * speeds > 0.0))[:, j] for way in (1.0, -1.0)]
+        found = [np.median(weight[slow[:, j], j]), *(np.median(motor[at, j]) for at in ways)]
+        found += [np.median(abs(motor - weight)[at, j]) for at in ways]
+        found += [np.median(0.2 + 0.5 * abs(motor + weight)[at, j]) for at in ways]
+        table.append((name, *(f"{one:.2f}" for one in found)))
+    columns = ("joint", "gravity", "motor, lifting", "lowering", "friction, lifting", "lowering")
+    show("slow motion of an SO-101 [N m]", (*columns, "0.2 + 0.5 (load - motor)", "lowering"), table)
+
+
 MAX_TIME = 420.0
 
 
@@ -166,7 +200,13 @@ def main() -> None:
     parser.add_argument(
         "--variants", type=lambda text: [int(one) for one in text.split(",")], default=every, metavar="I,..."
     )
+    parser.add_argument(
+        "--lifting", action="store_true", help="friction in the slow motion, nothing identified"
+    )
     given = parser.parse_args()
+    if given.lifting:
+        lifting()
+        return
     MAX_TIME = given.max_time
     done = over_seeds(f"so101-{MAX_TIME:g}", trial, sorted({0, *given.variants}), given.jobs)
     maker = {at: initial for at, (initial, _) in done[0]["errors"].items()}
