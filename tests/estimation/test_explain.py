@@ -435,6 +435,16 @@ def test_a_joint_that_stands_in_one_log_counts_in_the_others() -> None:
     assert np.median(moves[moves[:, 1] > 0.0, 1]) == pytest.approx(1.0)
 
 
+def test_an_instant_between_two_gaps_has_no_change() -> None:
+    system = system_of()
+    z = np.zeros(len(system.space))
+    found = unexplained_efforts(system, [whole(recorded(system, np.array(system.space.nominal)))], z)
+    assert found is not None
+    motion = replace(found.motion, stretches=(slice(0, 1), slice(1, len(found.motion.time))))
+    change = CauseMaker(system, replace(found, motion=motion)).change(motion.time)
+    np.testing.assert_allclose(change, [0.0, *np.ones(change.size - 1)], rtol=1e-6)
+
+
 @pytest.mark.medium
 def test_friction_that_sets_in_gradually_is_not_called_drag_above_a_speed() -> None:
     """Beyond the knee friction grows less: a force that holds back there would have the other sign."""

@@ -164,9 +164,12 @@ class CauseMaker:
         return tuple(d for d in self.motion.dofs if d in acts), force
 
     def change(self, values: FloatArray) -> FloatArray:
-        """Derivative of values (n, ...) by time."""
-        motion = self.motion
-        return np.concatenate([np.gradient(values[s], motion.period, axis=0) for s in motion.stretches])
+        """Derivative of values (n, ...) by time; 0 where an instant stands alone."""
+        found = np.zeros_like(values)
+        for s in self.motion.stretches:
+            if s.stop - s.start > 1:
+                found[s] = np.gradient(values[s], self.motion.period, axis=0)
+        return found
 
     def later(self, values: FloatArray, seconds: float) -> FloatArray:
         """Values (n, ...) as they were some time before."""
