@@ -34,7 +34,7 @@ RESULTS = {
 KEPT = {"pendulum": ("report", "view"), "arm": ("report", "view"), "go1": ("view",)}
 #: Picture -> page, the part of it that is shown, height.
 PICTURES = {
-    "tutorial/arm-found.webp": ("arm/report.html", "parameters", 820),
+    "tutorial/arm-found.webp": ("arm/report.html", "parameters", 770),
     "tutorial/arm-overlay.webp": ("arm/report.html", "measured-against-predicted", 760),
     "tutorial/arm-budget.webp": ("arm/report.html", "where-each-interval-comes-from", 560),
     "tutorial/arm-view.webp": ("arm/view.html", "top", 760),

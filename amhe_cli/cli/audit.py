@@ -167,7 +167,7 @@ def _print(session: Session, lines: Any, record: dict[str, object], found: Audit
         return
     console, told = session.console(), [one for one in lines if one.verdict != "cannot tell"]
     if told:
-        console.print_table(rich_table(audit_table(told), STYLES))
+        console.print(rich_table(audit_table(told), STYLES))
         console.print()
     if found and found.found.missing:
         print_missing(found.found.missing, console)

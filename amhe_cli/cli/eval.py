@@ -140,7 +140,7 @@ def _tell(session: Session, store: Store, left: int) -> None:
         console = session.console()
         for table in report.tables:
             console.print(f"{table.title}\n")
-            console.print_table(rich_table(table.table))
+            console.print(rich_table(table.table))
             console.print(f"{table.note}\n" if table.note else "", soft_wrap=True)
         print(f"report: {store.folder / 'report.html'}")
     session.failed = bool(report.failures) or (left > 0 and not session.interrupted)

@@ -36,8 +36,10 @@ def rounded(value: float, resolution: float, size: float | None = None) -> str:
 
 
 def with_sd(estimate: float, sd: float) -> str:
-    """Estimate with sd: '0.7421 ± 0.0041'."""
+    """Estimate with sd: '0.7421 ± 0.0041'; what is none of the sd's digits is 0."""
     size = max(abs(estimate), sd)
+    if abs(estimate) < 1e-3 * sd:
+        estimate = 0.0
     return f"{rounded(estimate, sd, size)} ± {rounded(sd, sd, size)}"
 
 

@@ -73,11 +73,15 @@ class PlainConsole(Console):
     def __init__(self, **more: Any) -> None:
         super().__init__(markup=False, highlight=False, **more)
 
-    def print_table(self, table: RenderableType) -> None:
-        """Print a table at its own width: a narrow terminal wraps its lines, but no text is cut."""
-        width = self.measure(table, options=self.options.update(width=1000)).maximum
-        self.width = max(self.width, width)
-        self.print(table)
+    def print(self, *objects: Any, **more: Any) -> None:
+        """Print; a table without sentences is as wide as it is: a terminal wraps its lines, but cuts no text."""
+        terminal, ample = self.width, self.options.update(width=1000)
+        for one in objects:
+            if isinstance(one, rich.table.Table) and all(column.no_wrap for column in one.columns):
+                self.width = max(self.width, self.measure(one, options=ample).maximum)
+        super().print(*objects, **more)
+        if self.width != terminal:
+            self.width = terminal
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
         """The pieces of what is printed."""

@@ -185,7 +185,9 @@ def parameter_rows(
         low, high = (float(np.clip(end, p.lower, p.upper)) for end in ends)
         row: dict[str, Any] = {"name": p.name, "unit": _unit(p.unit), "first": first[p.name], "log": p.log}
         row |= {"low": low, "high": high, "verdict": verdicts.get(p.name, "")}
-        row |= dict(zip(("estimate", "lower", "upper"), known.get(p.name, ()), strict=False))
+        if p.name in known:
+            estimate, lower, upper = known[p.name]
+            row |= {"estimate": estimate, "lower": max(lower, p.lower), "upper": min(upper, p.upper)}
         rows.append(row | ({"hidden": True} if inertia_of(p.name) in whole else {}))
     numbers = ("name", "estimate", "lower", "upper", "verdict")
     return rows + [

@@ -28,7 +28,7 @@ from amhe_cli.report.folder import results
 from amhe_cli.report.page import Section, Statement, page, result_page
 from amhe_cli.report.replay import windows_line
 from amhe_cli.report.replay_files import _together
-from amhe_cli.report.tables import NUMBER, Table, rich_table
+from amhe_cli.report.tables import NUMBER, PlainConsole, Table, rich_table
 from tests.web.figures import panels
 
 TABLE = Table(("name", "mass", "goal"), ("name", NUMBER, ""), [("a<b", "4.0", "NO"), ("c", "5.0", "yes")])
@@ -107,12 +107,20 @@ def test_columns_can_be_left_out() -> None:
         (1.0, float("nan"), "1 ± –"),
         (-0.001, 0.25, "-1e-03 ± 0.25"),
         (0.0, 0.25, "0 ± 0.25"),
+        (-1e-7, 0.0069, "0 ± 0.0069"),
         (0.005969, 6.8e-5, "0.005969 ± 0.000068"),
         (0.1, 1e-12, "0.1 ± 1e-12"),
     ],
 )
 def test_an_estimate_has_the_digits_that_its_sd_leaves(estimate, sd, text) -> None:
     assert numbers.with_sd(estimate, sd) == text
+
+
+def test_a_narrow_terminal_cuts_no_cell() -> None:
+    written = io.StringIO()
+    console = PlainConsole(file=written, width=20)
+    console.print(rich_table(Table(("drive", "gear"), ("", NUMBER), [("dynamixel:xl330-m288", "288.1234")])))
+    assert "dynamixel:xl330-m288  288.1234" in written.getvalue() and console.width == 20
 
 
 @given(st.floats(1e-8, 1e8), st.floats(1e-8, 1e8))

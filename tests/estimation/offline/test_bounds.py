@@ -178,9 +178,11 @@ def test_table_record_and_page_have_them() -> None:
     assert "link.I_xz" in page(result)
     damping = Parameter("link.damping", "N m s", 1.0, 0.1, 10.0, True, 1.0)
     space = ParameterSpace((*system().space.parameters, damping))
-    rows = parameter_rows(space, dict.fromkeys(space.names, 0.0), {}, {}, record["bodies"])
+    known = {damping.name: (1.0, 0.05, 20.0)}
+    rows = parameter_rows(space, dict.fromkeys(space.names, 0.0), known, {}, record["bodies"])
     own, *shown = [row for row in rows if "hidden" not in row]  # of the view: nobody knows the coordinates
     assert own["name"] == damping.name, "a joint may be called as its body"
+    assert (own["lower"], own["upper"]) == (damping.lower, damping.upper), "no value lies beyond its bounds"
     assert [row["name"] for row in shown] == [one.name for one in result.bodies]
     assert all(row["lower"] <= row["estimate"] <= row["upper"] and "low" not in row for row in shown)
 
