@@ -74,7 +74,7 @@ class PlainConsole(Console):
         super().__init__(markup=False, highlight=False, **more)
 
     def print(self, *objects: Any, **more: Any) -> None:
-        """Print; a table without sentences is as wide as it is: a terminal wraps its lines, but cuts no text."""
+        """Print; a table without sentences keeps its width: a terminal wraps its lines, and cuts no text."""
         terminal, ample = self.width, self.options.update(width=1000)
         for one in objects:
             if isinstance(one, rich.table.Table) and all(column.no_wrap for column in one.columns):
