@@ -21,6 +21,7 @@ must be 5 %. Beside them stand plain least squares of the torques that the servo
 `--real` does so with logs of a Dynamixel XL330: each alone; with the mass known, for the torque per volt; all
 whose torque is on together; and by two or four of them the others. `--wrong` takes gain and limit of that
 servo as exact, and has one of them wrong: no mass may be called identified.
+Errors are medians; beside them stand the mean over the truth, and the scatter about that mean.
 """
 
 from __future__ import annotations
@@ -441,9 +442,8 @@ def main() -> None:
             for how, some in ways.items()
             for motion in sorted({one["motion"] for one in some})
         ]
-    errors = "median error; mean over truth, scatter"
-    columns = ("weighed", "claimed", "of these hold", "hold", "upper/lower", errors)
-    show(title, (*columns, "least squares: the same", "sysid: the same", "verdicts", "CPU"), rows)
+    columns = ("weighed", "claimed", "of these hold", "hold", "upper/lower", "error; mean, scatter")
+    show(title, (*columns, "least squares", "sysid", "verdicts", "CPU"), rows)
 
 
 if __name__ == "__main__":
