@@ -166,9 +166,8 @@ class CauseMaker:
     def change(self, values: FloatArray) -> FloatArray:
         """Derivative of values (n, ...) by time; 0 where an instant stands alone."""
         found = np.zeros_like(values)
-        for s in self.motion.stretches:
-            if s.stop - s.start > 1:
-                found[s] = np.gradient(values[s], self.motion.period, axis=0)
+        for s in (one for one in self.motion.stretches if one.stop - one.start > 1):
+            found[s] = np.gradient(values[s], self.motion.period, axis=0)
         return found
 
     def later(self, values: FloatArray, seconds: float) -> FloatArray:
