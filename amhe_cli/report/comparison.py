@@ -120,7 +120,7 @@ def _page(compared: Compared, record: Mapping[str, Any], provenance: Mapping[str
             f"{len(names)} models",
             f"{max(at.clips for at in horizons)} clips that were not fitted, at most",
         ),
-        headline=headline if settled else "No model is called better: a search did not end.",
+        headline=headline if settled else "The logs do not single out one model yet.",
         statements=[
             Statement(
                 "mixed" if "cannot tell" in text or not settled else "good", f"{text[0].upper()}{text[1:]}."
