@@ -27,16 +27,14 @@ TYPE, ENCODING = "table/msg/Row", "table"
 START = "start_ns"
 #: Names of a time column, the best first; a unit may follow.
 _TIMES = (
-    *("time", "t", "timestamp", "stamp", "datetime", "date", "ts", "clock", "sec", "secs", "seconds"),
-    *("millis", "milliseconds", "micros", "microseconds"),
-)
-#: Unit of a time column -> nanoseconds.
+    "time", "t", "timestamp", "stamp", "datetime", "date", "ts", "clock", "sec", "secs", "seconds", "millis",
+    "micros",
+)  # fmt: skip
+#: Unit of a time column, or its name -> nanoseconds.
 _NANOSECONDS = {
-    **dict.fromkeys(("s", "sec", "seconds"), 1e9),
-    **dict.fromkeys(("ms", "millis", "milliseconds"), 1e6),
-    **dict.fromkeys(("us", "µs", "micros", "microseconds"), 1e3),
+    "s": 1e9, "sec": 1e9, "seconds": 1e9, "ms": 1e6, "millis": 1e6, "us": 1e3, "µs": 1e3, "micros": 1e3,
     "ns": 1.0,
-}
+}  # fmt: skip
 _BRACKETS = re.compile(r"^(.*?)\s*[\[({<]\s*([^\d\])}>][^\])}>]*?)\s*[\])}>]$")
 _SUFFIX = re.compile(r"^(.+)_(deg|ms|us|ns|rpm|mm)$", re.IGNORECASE)
 

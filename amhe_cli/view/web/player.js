@@ -107,7 +107,8 @@ class Player {
     const body = rows.flatMap((row) => {
       if (row.hidden) { this.sliders.set(row.name, () => row.estimate ?? row.first); return []; }  // others stand for it
       const about = made("small", {}, row.unit), chip = row.verdict ? [made("span", { className: `verdict ${row.verdict}`, textContent: row.verdict })] : [];
-      const cells = [made("td", {}, row.name, about, ...chip), made("td", { textContent: brief(row.first) })];
+      const name = row.name.split(/(?<=[_.])/).flatMap((part) => [part, made("wbr")]);
+      const cells = [made("td", {}, ...name, about, ...chip), made("td", { textContent: brief(row.first) })];
       if (known) cells.push(row.estimate === undefined ? made("td") : made("td", { title: "estimate and 90 % interval" }, brief(row.estimate), made("small", { textContent: `${brief(row.lower)} to ${brief(row.upper)}` })));
       if (!asks || row.low === undefined) return [made("tr", {}, ...cells)];
       const start = row.estimate ?? row.first, low = Math.min(row.low, start), high = Math.max(row.high, start), log = row.log && low > 0;
