@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.audit.claims import Claim, Group, claims_of, doubts_of
-from amhe_cli.audit.judge import Findings, Said, chances, contradicted, judged, said, wrong_sheets
+from amhe_cli.audit.judge import Findings, Said, averaged, chances, contradicted, judged, said, wrong_sheets
 from amhe_cli.audit.suspects import (
     HOPELESS,
     Explanation,
@@ -211,7 +211,8 @@ def _concluded(
             if isinstance(search.finding, SearchState) and search.finding.settled:
                 decided.add(group)  # a search that has not ended excludes nothing
             if other is not None and other.against(first, wider) > 0.0:
-                first, other = other, first
+                others += [first, other]  # what is wrong beside it was looked for with one sheet barred
+                first, other = other.widened(searched, others), None
                 found = concluded(first.search, quick=True)
             others += [other] if other else []
             judgement = _judgement(found, first, others, decided)
@@ -232,7 +233,7 @@ def _judgement(
     space = first.search.problem.system.space
     at = space.phi_of(found.belief.estimate)
     evidence = findings_of(space, at, found.unbounded, found.information, found.belief.covariance)
-    wider, tests, free = _wider(found), [], np.array([])
+    wider, tests = _wider(found), []
     odds = _once({first: 0.0} | {one: one.against(first, wider) for one in others})
     evidence = evidence.under_noise(wider)
     for one in odds:
@@ -242,15 +243,15 @@ def _judgement(
         sets = wrong_sheets(findings, sheets, one.wrong)
         sets = {some: likely for some, likely in sets.items() if not (some ^ one.wrong) & decided}
         tests.append(judged(findings, sheets, sets, rows, system.space.log[rows]))
-        if one is first:
-            least = np.broadcast_to(sheets.least, sheets.file.shape)[rows]
-            opened = findings.with_priors(sheets.sd(sheets.groups))
-            free = chances(
-                said(opened, rows, sheets.file[rows], sheets.right[rows], system.space.log[rows], least).t
-            )
     share = np.exp(np.array([*odds.values()]) - max(odds.values()))
     chance = share @ np.array([each for _, each in tests]) / share.sum()
-    return _Judgement(evidence, tests[0][0], chance, free)
+    system = first.search.problem.system
+    sheets, rows = sheets_of(evidence, system, first.claims), rows_of(system, first.claims)
+    least = np.broadcast_to(sheets.least, sheets.file.shape)[rows]
+    file, right, log = sheets.file[rows], sheets.right[rows], space.log[rows]
+    free = said(evidence.with_priors(sheets.sd(sheets.groups)), rows, file, right, log, least)
+    logged = averaged([each for each, _ in tests], share.tolist(), file, right, log, least, evidence.at[rows])
+    return _Judgement(evidence, logged, chance, chances(free.t))
 
 
 def _once(odds: Mapping[Explanation, float]) -> dict[Explanation, float]:

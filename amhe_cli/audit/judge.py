@@ -142,12 +142,38 @@ def said(
     q = np.maximum(1.0 / known - p**-2.0, _TINY * p**-2.0)
     mean = (m / known - n / p**2) / q
     sd = np.sqrt(1.0 / q + more / (known * q) ** 2)
+    return _compared(mean, sd, file, sheet, log, least, evidence.at[at])
+
+
+def _compared(
+    mean: FloatArray, sd: FloatArray, file: FloatArray, sheet: FloatArray, log: BoolArray,
+    least: FloatArray | float, at: FloatArray,
+) -> Said:  # fmt: skip
+    """What the logs say of numbers, `at` whose values (k,) they were linearised, against the file."""
     best = np.maximum(mean, least)
     true = np.maximum((mean * sheet**2 + file * sd**2) / (sd**2 + sheet**2), least)  # if the sheet is right
     worse = ((mean - true) / sd) ** 2 + ((true - file) / sheet) ** 2 - ((mean - best) / sd) ** 2
     t = np.sign(best - file) * np.sqrt(np.maximum(worse, 0.0))
-    other = np.sign(t) * _proportional(mean - evidence.at[at], sd, file - evidence.at[at], sheet)
+    other = np.sign(t) * _proportional(mean - at, sd, file - at, sheet)
     return Said(best, sd, np.where(log & (np.abs(other) < np.abs(t)), other, t))
+
+
+def averaged(
+    several: Sequence[Said], share: Sequence[float], file: FloatArray, sheet: FloatArray, log: BoolArray,
+    least: FloatArray | float, at: FloatArray,
+) -> Said:  # fmt: skip
+    """What the logs say of k numbers by several explanations, each with its share: the mixture's mean and sd.
+
+    Other arguments as of `said`; `at`: where the logs were linearised, shape (k,).
+    """
+    weight = np.array(share)[:, None] / sum(share)
+    phi, sds = np.array([one.mean for one in several]), np.array([one.sd for one in several])
+    top = phi.max(axis=0)  # logarithms are averaged as numbers: those of almost nothing differ by much
+    means, sds = np.where(log, np.exp(phi - top), phi), np.where(log, np.exp(phi - top), 1.0) * sds
+    mean = (weight * means).sum(axis=0)
+    sd = np.sqrt((weight * (sds**2 + (means - mean) ** 2)).sum(axis=0))
+    mean, sd = np.where(log, top + np.log(np.abs(mean)), mean), sd / np.where(log, mean, 1.0)
+    return _compared(mean, sd, file, sheet, log, least, at)
 
 
 def _proportional(said: FloatArray, sd: FloatArray, file: FloatArray, sheet: FloatArray) -> FloatArray:
@@ -253,15 +279,19 @@ def judged(
     sheet, at = {row: name for name, group in sheets.groups.items() for row in group}, list(rows)
     names, least = [sheet[row] for row in rows], np.broadcast_to(sheets.least, sheets.file.shape)[at]
     of = sheets.file[at], sheets.right[at], log, least
-    here = said(evidence, rows, *of)
     chance, weight, seen, right = np.zeros((4, len(rows)))
     weights = np.exp(np.array(list(likely.values())) - max(likely.values()))
+    several = list[Said]()
     for one, share in zip(likely, weights / weights.sum(), strict=True):
         believed = np.array([name not in one for name in names])
         right += believed * share
-        if (tested := believed & (seen < _SETS)).any():
-            far = chances(said(evidence.with_priors(sheets.sd(one)), rows, *of).t)
+        tested = believed & (seen < _SETS)
+        if tested.any() or len(several) < _SETS:
+            under = said(evidence.with_priors(sheets.sd(one)), rows, *of)
+            several += [under] if len(several) < _SETS else []
+            far = chances(under.t)
             chance, weight, seen = chance + tested * share * far, weight + tested * share, seen + tested
+    here = averaged(several, weights[: len(several)].tolist(), *of, evidence.at[at])
     return here, np.maximum(chances(here.t), right * chance / np.maximum(weight, 1e-300))
 
 
@@ -271,8 +301,9 @@ def _changed(
     """Sets that differ from one by one sheet -> logarithm of by how much likelier they are."""
     sd = sheets.sd(wrong)
     known = np.linalg.inv(information + np.diag(sd**-2.0))
-    open_to = information - information @ known @ information
-    left, found = score - information @ (known @ score), dict[frozenset[K], float]()
+    # information - information @ known @ information, and likewise of the score: much may be known of little
+    open_to = np.diag(sd**-2.0) - known / np.outer(sd, sd) ** 2
+    left, found = known @ score / sd**2, dict[frozenset[K], float]()
     for name, rows in sheets.groups.items():
         at, back = list(rows), name in wrong
         more = (sheets.wide[at] ** 2 - sheets.right[at] ** 2) * (-1.0 if back else 1.0)

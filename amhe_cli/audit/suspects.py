@@ -103,6 +103,11 @@ class Explanation:
         search, wrong = without_suspects(searched, self.claims, few, other.search, believed)
         return _ended(search), Explanation(search, wrong, self.claims)
 
+    def widened(self, searched: Searched, seen: list[Explanation]) -> Explanation:
+        """The explanation from here, with any sheet open; `seen`: gets what else was searched on the way."""
+        search, wrong = without_suspects(searched, self.claims, self.wrong, self.search, seen=seen)
+        return Explanation(_ended(search), wrong, self.claims)
+
 
 def _misfit(fit: FinalFit, of: Search, few: Problem | None) -> float:
     """-2 log likelihood of the values that a search found, but for a constant, under the noise of a fit.

@@ -7,7 +7,19 @@ import numpy as np
 import pytest
 
 from amhe_cli.audit.files import compare
-from amhe_cli.audit.judge import RATE, Findings, Sheets, chances, contradicted, judged, said, wrong_sheets
+from amhe_cli.audit.judge import (
+    ODDS,
+    RATE,
+    Findings,
+    Said,
+    Sheets,
+    averaged,
+    chances,
+    contradicted,
+    judged,
+    said,
+    wrong_sheets,
+)
 from amhe_cli.system.model.files import compiled, read_spec
 from amhe_cli.system.numbers import numbers_of
 
@@ -145,6 +157,38 @@ def test_one_wrong_number_is_told_from_two_that_make_up_for_it(begin: tuple[int,
     found = findings(1e4 * root.T @ root, np.array([0.0, 0.0, 1.0]), sheet, np.zeros(3))
     likely = wrong_sheets(found, Sheets(groups, np.zeros(3), sheet, 10.0 * sheet), frozenset(begin))
     assert next(iter(likely)) == {2}
+
+
+def test_odds_of_sets_are_those_of_their_densities_however_much_a_log_knows() -> None:
+    rng, d = np.random.default_rng(7), 5
+    turned, _ = np.linalg.qr(rng.standard_normal((d, d)))
+    information, right, wide = turned @ np.diag(10.0 ** np.arange(4, 14, 2)) @ turned.T, 0.02, 1.5
+    truth = np.where(np.arange(d) < 2, 1.0, right) * rng.standard_normal(d)
+    sheet = np.full(d, right)
+    found = findings(information, truth, sheet, np.zeros(d))
+    sheets = Sheets({i: [i] for i in range(d)}, np.zeros(d), sheet, np.full(d, wide))
+
+    def density(wrong: frozenset) -> float:
+        spread = np.linalg.inv(information) + np.diag(sheets.sd(wrong) ** 2)
+        off = truth @ np.linalg.solve(spread, truth) + np.linalg.slogdet(spread)[1]
+        return -0.5 * float(off) - ODDS * len(wrong)
+
+    odds = wrong_sheets(found, sheets)
+    assert len(odds) > 10
+    for one, value in odds.items():
+        assert value == pytest.approx(density(one) - density(frozenset()), rel=1e-3, abs=0.1)
+
+
+def test_explanations_are_averaged_as_a_mixture_and_logarithms_as_the_numbers_that_they_are_of() -> None:
+    sheet, at, log = np.ones(2), np.zeros(2), np.array([False, True])
+    one = Said(np.array([1.0, np.log(2.0)]), np.array([0.1, 0.1]), np.zeros(2))
+    other = Said(np.array([4.0, np.log(1e-9)]), np.array([0.2, 3.0]), np.zeros(2))
+    mixed = averaged([one, other], [2.0, 1.0], np.zeros(2), sheet, log, -np.inf, at)
+    assert np.allclose(mixed.mean, [2.0, np.log(4.0 / 3.0)])
+    spread = [(2.0 * 0.1**2 + 0.2**2) / 3.0 + 2.0, 2.0 * 0.2**2 / 3.0 + 8.0 / 9.0]
+    assert np.allclose(mixed.sd, np.sqrt(spread) / [1.0, 4.0 / 3.0])
+    same = averaged([one, one], [0.3, 0.7], np.zeros(2), sheet, log, -np.inf, at)
+    assert np.allclose([same.mean, same.sd], [one.mean, one.sd])
 
 
 @pytest.mark.parametrize("truth", [0.2, 1.0, 5.0])
