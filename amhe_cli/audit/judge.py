@@ -172,7 +172,8 @@ def averaged(
     means, sds = np.where(log, np.exp(phi - top), phi), np.where(log, np.exp(phi - top), 1.0) * sds
     mean = (weight * means).sum(axis=0)
     sd = np.sqrt((weight * (sds**2 + (means - mean) ** 2)).sum(axis=0))
-    mean, sd = np.where(log, top + np.log(np.abs(mean)), mean), sd / np.where(log, mean, 1.0)
+    number = np.where(log, mean, 1.0)
+    mean, sd = np.where(log, top + np.log(number), mean), sd / number
     return _compared(mean, sd, file, sheet, log, least, at)
 
 
