@@ -169,7 +169,8 @@ def averaged(
     weight = np.array(share)[:, None] / sum(share)
     phi, sds = np.array([one.mean for one in several]), np.array([one.sd for one in several])
     top = phi.max(axis=0)  # logarithms are averaged as numbers: those of almost nothing differ by much
-    means, sds = np.where(log, np.exp(phi - top), phi), np.where(log, np.exp(phi - top), 1.0) * sds
+    size = np.where(log, np.exp(phi - top), 1.0)
+    means, sds = np.where(log, size, phi), size * sds
     mean = (weight * means).sum(axis=0)
     sd = np.sqrt((weight * (sds**2 + (means - mean) ** 2)).sum(axis=0))
     number = np.where(log, mean, 1.0)
