@@ -75,7 +75,7 @@ def queues(lengths: IntArray, count: int, cost: StepCost) -> IntArray:
         Clips of m worlds, shape (m, l): the least m of the least time.
     """
     clips, best, least = len(lengths), [], np.inf
-    for worlds in dict.fromkeys(-(-clips // each) for each in range(1, clips + 1)):
+    for worlds in range(clips, 0, -1):
         free = [(0, world) for world in range(worlds)]
         dealt: list[list[int]] = [[] for _ in free]
         for clip in np.argsort(-lengths, kind="stable"):  # the longest first, to the world that is free first
