@@ -44,6 +44,7 @@ def trial(number: int) -> dict[str, Any]:
         "look": looked,
         "fit": time.process_time() - began - looked,
         "ratios": [(1.0 - hope[p.name].shrinkage) / (1.0 - p.shrinkage) for p in result.parameters.values()],
+        "left": [1.0 - p.shrinkage for p in result.parameters.values()],
         "verdicts": [(hope[p.name].verdict, p.verdict) for p in result.parameters.values()],
         "names": list(result.parameters),
         "budgets": [(hope[p.name].budget, p.budget) for p in result.parameters.values()],
