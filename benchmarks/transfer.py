@@ -106,6 +106,9 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--try", dest="tried", action="append", default=[], metavar="JSON")
     parser.add_argument("--workers", type=int, default=os.cpu_count(), help="0: print what there is")
+    parser.add_argument(
+        "--threads", type=int, default=1, help="of the workers, for each robot's identification"
+    )
     parser.add_argument("--done", type=Path, nargs="*", default=[], help="what earlier runs printed")
     given = parser.parse_args()
     first, _, last = given.strangers.rpartition(":")
@@ -123,7 +126,7 @@ def main() -> None:
     if given.workers:
         for record in done:
             print(json.dumps(record))
-        for record in made(done, plants, cells, given.workers):
+        for record in made(done, plants, cells, given.workers, min(given.threads, given.workers)):
             print(json.dumps(record), flush=True)
             done.append(record)
     show_robots([record for record in done if "robot" in record])
@@ -139,34 +142,37 @@ def read(files: list[Path]) -> Iterator[dict[str, Any]]:
 
 
 def made(
-    done: list[dict[str, Any]], plants: list[str], cells: list[Cell], workers: int
+    done: list[dict[str, Any]], plants: list[str], cells: list[Cell], workers: int, threads: int
 ) -> Iterator[dict[str, Any]]:
-    """What is missing of robots and runs: always the first that is ready, a run once its robot is known."""
+    """What is missing of robots and runs: always the first that is ready, a run once its robot is known.
+
+    A robot's identification takes as many of the workers as it has threads.
+    """
     robots = {record["robot"]: record.get("held") for record in done if "robot" in record}
     ran = [record.get("cell") for record in done]
     unknown = [plant for plant in plants if plant not in robots]
     waiting = [cell for cell in cells if list(cell) not in ran]
-    running: set[Future[dict[str, Any]]] = set()
+    running: dict[Future[dict[str, Any]], int] = {}
     with ProcessPoolExecutor(workers) as pool:
         while True:
-            while len(running) < workers and unknown:
-                running.add(pool.submit(robot_of, unknown.pop(0)))
-            while len(running) < workers and (
+            while unknown and sum(running.values()) + threads <= workers:
+                running[pool.submit(robot_of, unknown.pop(0), threads)] = threads
+            while sum(running.values()) < workers and (
                 ready := next((c for c in waiting if c[3] == "unknown" or robots.get(c[0])), None)
             ):
                 waiting.remove(ready)
-                running.add(pool.submit(run_cell, ready, robots.get(ready[0])))
+                running[pool.submit(run_cell, ready, robots.get(ready[0]))] = 1
             if not running:
                 return
-            ended, running = wait(running, return_when=FIRST_COMPLETED)
-            for one in ended:
+            for one in wait(running, return_when=FIRST_COMPLETED).done:
+                del running[one]
                 record = one.result()
                 if "robot" in record:
                     robots[record["robot"]] = record.get("held")
                 yield record
 
 
-def robot_of(plant: str) -> dict[str, Any]:
+def robot_of(plant: str, threads: int) -> dict[str, Any]:
     """Let a plant walk for ten seconds, and identify it."""
     hush_mujoco()
     with TemporaryDirectory() as folder:
@@ -176,7 +182,7 @@ def robot_of(plant: str) -> dict[str, Any]:
             return {"robot": plant, "error": str(ending.error)}
         system = System.load("go1_push", {"unknowns": ["robot"]})
         try:
-            result = identify(system, [read_log(log, system)], seed=0, threads=1)
+            result = identify(system, [read_log(log, system)], seed=0, threads=threads)
         except AmheError as error:
             return {"robot": plant, "error": str(error)}
     truth, space = truth_of(PLANTS[plant]), system.space
