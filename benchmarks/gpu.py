@@ -1,7 +1,7 @@
 """Matching cost on graphics cards: agreement with the CPU engine, and steps a second against worlds.
 
     python benchmarks/gpu.py [--rollouts 1024,4096,8192,32768] [--problems go1_push,arm] [--device cuda:0]
-    python benchmarks/gpu.py --fits gpu,auto [--problems arm,tosses,feet]   # whole commands, beside the cpu's
+    python benchmarks/gpu.py --fits gpu,auto [--problems arm,cube_toss,feet] [--seeds 3]  # beside the cpu's
 
 "step" is the captured step of mujoco-warp on the same worlds through the motion of the clips: with their
 inputs, a clock, and nothing else; all that the worlds step counts, also while they wait for longer clips.
@@ -31,9 +31,10 @@ import amhe_cli as amhe
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Log
 from amhe_cli.core.rotations import exp, multiply
+from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.gpu.engine import GpuEngine
 from amhe_cli.engine.open import open_engine
-from amhe_cli.engine.rollout import Engine
+from amhe_cli.engine.rollout import Engine, Predicted
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.problem import Problem
@@ -296,48 +297,81 @@ def iteration(name: str, cores: int) -> list[str]:
 
 @dataclass(frozen=True)
 class Fit:
-    """One identification: its wall and CPU seconds, estimate, sds and verdicts, in coordinates z."""
+    """One identification: its wall and CPU seconds, those in rollouts on the processor, and what it found.
+
+    Estimate and sds are in coordinates z.
+    """
 
     seconds: float
     cpu: float
+    rollouts: float
     z: FloatArray
     sd: FloatArray
     verdicts: dict[str, str]
+
+    def apart(self, other: Fit) -> float:
+        """Farthest estimate, in the other's sd."""
+        return float((np.abs(self.z - other.z) / other.sd).max())
+
+    def wider(self, other: Fit) -> float:
+        """The factor between the sds that differ most."""
+        return float(np.exp(np.abs(np.log(self.sd / other.sd)).max()))
 
 
 def fit(name: str, kind: str, threads: int, seed: int = 0) -> Fit:
     """Identify a problem."""
     system, logs = PROBLEMS[name]()
+    spent, predict = [0.0], CpuEngine.predict
+
+    def timed(*arguments: Any) -> Predicted:
+        begun = time.process_time()
+        predicted = predict(*arguments)
+        spent[0] += time.process_time() - begun
+        return predicted
+
+    CpuEngine.predict = timed
     start, cpu = time.perf_counter(), time.process_time()
     result = amhe.identify(system, logs, seed=seed, threads=threads, engine=kind)
+    CpuEngine.predict = predict
     return Fit(
         time.perf_counter() - start,
         time.process_time() - cpu,
+        spent[0],
         system.space.z_of(result.belief.estimate),
         np.sqrt(np.diag(np.array(result.belief.covariance))) / system.space.prior_sd,
         {p.name: p.verdict for p in result.parameters.values()},
     )
 
 
-def alone(name: str, kind: str, cores: int) -> Fit:
+def alone(name: str, kind: str, cores: int, seed: int) -> Fit:
     """An identification in a process of its own, as of a command."""
     with ProcessPoolExecutor(1, get_context("spawn")) as executor:
-        return executor.submit(fit, name, kind, cores).result()
+        return executor.submit(fit, name, kind, cores, seed).result()
 
 
-def fits(name: str, kinds: Sequence[str], cores: int, repetitions: int) -> Iterator[list[str]]:
-    """Whole identifications, estimates and verdicts beside those of the processor."""
-    turns = [{kind: alone(name, kind, cores) for kind in ("cpu", *kinds)} for _ in range(repetitions)]
-    expected, usual = turns[0]["cpu"], np.median([turn["cpu"].seconds for turn in turns])
+def fits(name: str, kinds: Sequence[str], cores: int, seeds: int) -> Iterator[list[str]]:
+    """Whole identifications beside those of the processor; of the processor, its seeds beside the first."""
+    turns = [{kind: alone(name, kind, cores, seed) for kind in ("cpu", *kinds)} for seed in range(seeds)]
+    usual = np.median([turn["cpu"].seconds for turn in turns])
     for kind in turns[0]:
-        found, seconds = turns[0][kind], np.median([turn[kind].seconds for turn in turns])
-        apart = np.abs(found.z - expected.z) / expected.sd
+        found = [turn[kind] for turn in turns]
+        beside = [turn["cpu"] for turn in turns] if kind != "cpu" else seeds * [found[0]]
+        pairs = list(zip(found, beside, strict=True))
         others = [
-            f"{n}: {v} -> {found.verdicts[n]}" for n, v in expected.verdicts.items() if v != found.verdicts[n]
+            f"{seed}: {n}: {v} -> {one.verdicts[n]}"
+            for seed, (one, other) in enumerate(pairs)
+            for n, v in other.verdicts.items()
+            if v != one.verdicts[n]
         ]
+        every = sum(len(one.verdicts) for one in found)
+        seconds, cpu, rollouts = (
+            np.median([getattr(one, time) for one in found]) for time in ("seconds", "cpu", "rollouts")
+        )
         yield [
-            name, kind, f"{seconds:.1f} s", f"{seconds / usual:.2f}", f"{apart.max():.2f}",
-            f"{len(expected.verdicts) - len(others)} of {len(expected.verdicts)}", "; ".join(others),
+            name, kind, f"{seconds:.1f} s", f"{seconds / usual:.2f}", f"{cpu:.1f} s", f"{rollouts:.1f} s",
+            ", ".join(f"{one.apart(other):.2f}" for one, other in pairs),
+            ", ".join(f"{one.wider(other):.2f}" for one, other in pairs),
+            f"{every - len(others)} of {every}", "; ".join(others),
         ]  # fmt: skip
 
 
@@ -350,9 +384,7 @@ def main() -> None:
     parser.add_argument("--no-agreement", action="store_true")
     parser.add_argument("--iteration", help="problems of which to time one iteration of the search instead")
     parser.add_argument("--fits", help="engines by which to identify each problem instead, beside the cpu's")
-    parser.add_argument(
-        "--repetitions", type=int, default=1, help="of each of these, of which the median counts"
-    )
+    parser.add_argument("--seeds", type=int, default=1, help="of each of these, by whose median time")
     asked = parser.parse_args()
     if asked.iteration:
         lines = [iteration(name, asked.cores) for name in asked.iteration.split(",")]
@@ -362,17 +394,12 @@ def main() -> None:
     if asked.fits:
         lines = []
         for name in names:
-            for line in fits(name, asked.fits.split(","), asked.cores, asked.repetitions):
+            for line in fits(name, asked.fits.split(","), asked.cores, asked.seeds):
                 print(*lines.append(line) or line, flush=True)
         columns = (
-            "system",
-            "engine",
-            "time",
-            "of cpu's",
-            "farthest estimate [sd]",
-            "verdicts alike",
-            "others",
-        )
+            "system", "engine", "time", "of cpu's", "CPU time", "rollouts", "farthest estimate [sd], by seed",
+            "factor of sds", "verdicts alike", "others",
+        )  # fmt: skip
         show("Identifications", columns, lines)
         return
     if not asked.no_agreement:
