@@ -1,6 +1,6 @@
 """A real SO-101 arm (docs/real.md): what do friction of gears and servos as they are built buy?
 
-    python benchmarks/so101.py [--jobs 3] [--max-time 420] [--variants 0,3]
+    python benchmarks/so101.py [--jobs 3] [--max-time 420] [--variants 0,3] [--fit figure_eight]
     python benchmarks/so101.py --lifting
 
 Four motions are fitted, and the figure eight is predicted, by the example system and by others that add what
@@ -8,7 +8,9 @@ the arm's Feetech STS3215 is at 12 V and gain 32: one set of numbers for all joi
 all friction, damping and armature joint by joint, with sag and back-EMF; and the friction model M6 by joint.
 Errors are rms over the six joints, as a ratio to those of the maker's MJCF on the same clips; once more where
 the arm moves freely, since in a third of the figure eight the gripper touches something (docs/real.md).
-`--lifting` shows what friction takes while joints move slowly, with gravity and against it.
+`--fit` fits other motions: the figure eight itself shows what its model can reach at best.
+`--lifting` shows what friction takes while joints move slowly, with gravity and against it, and how the
+joints' errors change where the gripper touches something.
 """
 
 from __future__ import annotations
@@ -18,6 +20,8 @@ import logging
 import shutil
 import tempfile
 import time
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +30,7 @@ import numpy as np
 from common import DATA, PROJECT, over_seeds, show
 
 import amhe_cli as amhe
+from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Window
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.validation.prediction import errors_of, starts
@@ -128,8 +133,8 @@ def free_error(system: amhe.System, log: amhe.Log, z: np.ndarray) -> float:
     return float(np.mean([np.nanmean(one.errors[0] ** 2) for one in found]))
 
 
-def trial(number: int) -> dict[str, Any]:
-    """Identify with one variant."""
+def trial(number: int, fitted: Sequence[str], most: float) -> dict[str, Any]:
+    """Identify by some motions with one variant, for at most so long [s]."""
     logging.disable(logging.WARNING)
     name, parameters = list(systems().items())[number]
     with tempfile.TemporaryDirectory() as folder:
@@ -138,10 +143,11 @@ def trial(number: int) -> dict[str, Any]:
             scene = Path(folder) / "scene.xml"
             scene.write_text(scene.read_text().replace("<position ", '<position timeconst="0.013" '))
         system = amhe.System.load(folder, {"parameters": parameters}, warn=False)
-    logs = [amhe.read_log(DATA / "so101" / motion, system) for motion in FITTED]
+    logs = [amhe.read_log(DATA / "so101" / motion, system) for motion in fitted]
     held_out = amhe.read_log(DATA / "so101" / "figure_eight", system)
     began = time.process_time()
-    result = amhe.identify(system, logs, held_out=held_out, threads=1, max_time=MAX_TIME)
+    result = amhe.identify(system, logs, held_out=held_out, threads=1, max_time=most)
+    assert result.found.held_out is not None
     errors: dict[str, list[float]] = {}
     for one in result.found.held_out.horizons:
         at = errors.setdefault("end" if one.to_end else f"{one.horizon:g} s", [0.0, 0.0])
@@ -159,14 +165,24 @@ def trial(number: int) -> dict[str, Any]:
     }
 
 
-def lifting() -> None:
-    """Medians in the slow motion: the torque that `GAIN` makes, and gravity's by the masses of the MJCF."""
+def errors_and_speeds(motion: str) -> tuple[amhe.System, FloatArray, FloatArray, FloatArray]:
+    """The system; the angles of a motion (n, 6), the targets less these [rad], and their speeds [deg/s]."""
     system = amhe.System.load(PROJECT / "examples" / "systems" / "so101", warn=False)
-    log = amhe.read_log(DATA / "so101" / "friction_gravity", system)
+    log = amhe.read_log(DATA / "so101" / motion, system)
     rows = np.flatnonzero(log["joints.position"].sampled)
     angles, targets = (log[f"{name}.position"].values[rows] for name in ("joints", "targets"))
     smooth = [np.convolve(np.pad(angle, 7, mode="edge"), np.full(15, 1 / 15), "valid") for angle in angles.T]
-    speeds = np.degrees(np.gradient(np.transpose(smooth), rows * log.dt, axis=0))
+    return (
+        system,
+        angles,
+        targets - angles,
+        np.degrees(np.gradient(np.transpose(smooth), rows * log.dt, axis=0)),
+    )
+
+
+def lifting() -> None:
+    """Medians in the slow motion: the torque that `GAIN` makes, and gravity's by the masses of the MJCF."""
+    system, angles, errors, speeds = errors_and_speeds("friction_gravity")
     model, data = system.model, mujoco.MjData(system.model)
     joints = [model.joint(name) for name in JOINTS]
     places, dofs = [int(one.qposadr[0]) for one in joints], [int(one.dofadr[0]) for one in joints]
@@ -177,7 +193,7 @@ def lifting() -> None:
         mujoco.mj_rne(model, data, 0, data.qfrc_bias)
         gravity[i] = data.qfrc_bias[dofs]
     up, weight, slow = np.sign(gravity), abs(gravity), (abs(speeds) > 2.0) & (abs(speeds) < 6.0)
-    motor, table = up * GAIN * (targets - angles), []
+    motor, table = up * GAIN * errors, []
     for j, name in enumerate(JOINTS):
         ways = [(slow & (way * up * speeds > 0.0))[:, j] for way in (1.0, -1.0)]
         found = [np.median(weight[slow[:, j], j]), *(np.median(motor[at, j]) for at in ways)]
@@ -188,27 +204,46 @@ def lifting() -> None:
     show("slow motion of an SO-101 [N m]", (*columns, "0.2 + 0.5 (load - motor)", "lowering"), table)
 
 
-MAX_TIME = 420.0
+def touching() -> None:
+    """Medians of the figure eight: targets less angles by where the shoulder's lift is, and which way."""
+    _, angles, errors, speeds = errors_and_speeds("figure_eight")
+    lift, spans = (
+        np.degrees(angles[:, 1]),
+        ((14.0, 20.0), (20.0, np.degrees(PRESSES)), (26.0, 28.0), (28.0, 30.0)),
+    )
+    table = [
+        (
+            f"{way}, {low:.0f}° to {high:.0f}°",
+            *(f"{one:+.1f}°" for one in np.degrees(np.median(errors[at], axis=0))),
+        )
+        for way, sign in (("up", 1.0), ("down", -1.0))
+        for low, high in spans
+        if (at := (lift > low) & (lift <= high) & (sign * speeds[:, 1] > 0.5)).any()
+    ]
+    show("figure eight of an SO-101, targets less angles", ("the lift moves", *JOINTS), table)
 
 
 def main() -> None:
-    global MAX_TIME
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--jobs", type=int, default=3, help="processes")
-    parser.add_argument("--max-time", type=float, default=MAX_TIME, help="of each search [s]")
+    parser.add_argument("--max-time", type=float, default=420.0, help="of each search [s]")
     every = range(len(systems()))
     parser.add_argument(
         "--variants", type=lambda text: [int(one) for one in text.split(",")], default=every, metavar="I,..."
     )
+    parser.add_argument("--fit", nargs="+", default=FITTED, metavar="MOTION", help="the motions to fit")
     parser.add_argument(
         "--lifting", action="store_true", help="friction in the slow motion, nothing identified"
     )
     given = parser.parse_args()
     if given.lifting:
         lifting()
+        touching()
         return
-    MAX_TIME = given.max_time
-    done = over_seeds(f"so101-{MAX_TIME:g}", trial, sorted({0, *given.variants}), given.jobs)
+    name, fitted = f"so101-{given.max_time:g}", tuple(given.fit)
+    name += "" if fitted == FITTED else "-" + "-".join(fitted)
+    fit = partial(trial, fitted=fitted, most=given.max_time)
+    done = over_seeds(name, fit, sorted({0, *given.variants}), given.jobs)
     maker = {at: initial for at, (initial, _) in done[0]["errors"].items()}
     rows = [("maker's MJCF", *(f"{error:.2f}°" for error in maker.values()), "", "")]
     for one in done:

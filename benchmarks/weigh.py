@@ -186,6 +186,7 @@ class Bench:
         _, by_speed, by_change, _ = np.linalg.pinv(np.vander(window, 4, increasing=True))  # a cubic's
         speed, change = (np.convolve(angle, one[::-1], mode="same") for one in (by_speed, 2.0 * by_change))
         servo = library_drive(self.drive, self.volts).servo(self.volts, gain)
+        assert servo.kp is not None and servo.limit is not None and servo.kv is not None
         torque = np.clip(servo.kp * (target - angle), -servo.limit, servo.limit) - servo.kv * speed
         moving = np.abs(speed) > 0.1
         moving[:15] = moving[-15:] = False
@@ -206,14 +207,10 @@ class Bench:
         """The load by `mujoco.sysid`: the servo as MuJoCo has it, constant friction; {}: there is none."""
         if not hasattr(sysid, "TimeSeries"):
             return {}  # it is not installed
-        own = {name: {"targets": [{"joint": self.joint, "set": name}]} for name in ("damping", "armature")}
-        own["friction_loss"] = {
-            "nominal": 0.05,
-            "prior_sd": 1.0,
-            "targets": [{"joint": self.joint, "set": "friction_loss"}],
+        own: dict[str, Any] = {
+            name: {"nominal": nominal, "prior_sd": 1.0, "targets": [{"joint": self.joint, "set": name}]}
+            for name, nominal in (("damping", 0.05), ("armature", 0.01), ("friction_loss", 0.05))
         }
-        own["damping"] |= {"nominal": 0.05, "prior_sd": 1.0}
-        own["armature"] |= {"nominal": 0.01, "prior_sd": 1.0}
         own["load_mass"] = {"prior_sd": 0.7, "targets": [{"body": "load", "set": "mass"}]}
         description = yaml.safe_load(system.text)
         description["signals"]["joints"]["noise"]["velocity"] = 5.0  # of next to no weight

@@ -279,6 +279,9 @@ def test_one_servo_is_drawn_alone(written: Write, monkeypatch: pytest.MonkeyPatc
 
 GEARED = """  late: {nominal: 0.01, bounds: [0, 0.05], prior_sd: 0.002, targets: [{set: command_delay}]}
   load: {nominal: 0.1, bounds: [-0.2, 1], prior_sd: 0.05, targets: [{joint: hip, set: load_friction}]}
+  dry: {nominal: 0.05, bounds: [0.01, 1], targets: [{joint: hip, set: friction_loss}]}
+  emf: {nominal: 0.3, bounds: [0, 1], prior_sd: 0.05, targets: [{actuator: hip_servo, set: back_emf}]}
+  kp: {nominal: 20, bounds: [1, 100], targets: [{actuator: hip_servo, set: gain}]}
 """
 
 
@@ -287,7 +290,7 @@ def test_actuators_have_the_identified_numbers(
     write: Callable[..., str], module_name: str, written: Write, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     system = System.load(written(GEARED, COMMANDED))
-    belief = belief_of(system, np.zeros(2), np.diag([1.0, 1e-6]))
+    belief = belief_of(system, np.zeros(5), np.diag([1.0, *[1e-6] * 4]))
     text = write(system, belief)
     names = loaded(text, monkeypatch)
     one = {"mjlab": "BuiltinPositionActuatorCfg", "isaaclab": "DelayedPDActuatorCfg"}[module_name]
@@ -295,7 +298,7 @@ def test_actuators_have_the_identified_numbers(
     module(monkeypatch, f"{module_name}.{kind}", **{one: lambda **values: values})
     made = names["identified_actuators"](timestep=0.001)
     (servo,) = made if module_name == "mjlab" else made.values()
-    assert (servo["stiffness"], servo["damping"], servo["effort_limit"]) == (20.0, 1.0, 5.0)
+    assert (servo["stiffness"], servo["damping"], servo["effort_limit"]) == (20.0, 1.3, 5.0)
     assert servo["armature"] == 0.01
     lags = [servo[key] for key in servo if "delay" in key]
     assert lags == [7, 13]  # 10 ms +- 1.645 times 2 ms
@@ -304,6 +307,12 @@ def test_actuators_have_the_identified_numbers(
     load = usual_load(model)[model.joint("hip").dofadr[0]]
     assert dry == pytest.approx(0.05 + 2 * 0.1 * load, rel=1e-3) and load > 0.1
     assert "friction of gears: constant" in text
+    # what is drawn at the start of a training would else take the load's share and the back-EMF away again
+    mjlab = module_name == "mjlab"
+    terms = names["identified_events"]("robot") if mjlab else vars(names["IdentifiedEventsCfg"])
+    drawn = {k: v for term in terms.values() for k, v in getattr(term, "params", {}).items()}
+    of = ("kd", "ranges") if mjlab else ("damping_distribution_params", "dry")
+    np.testing.assert_allclose([np.mean(drawn[key]) for key in of], [servo["damping"], dry], rtol=1e-3)
 
 
 def test_the_usual_load_is_that_of_gravity() -> None:

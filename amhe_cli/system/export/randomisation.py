@@ -19,7 +19,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief import Belief, with_prior
 from amhe_cli.core.statistics import correlation
 from amhe_cli.system.parameters.gear_friction import GearFriction
-from amhe_cli.system.parameters.servos import OF_SERVO, SERVOS
+from amhe_cli.system.parameters.servos import BIAS, OF_SERVO, SERVOS
 from amhe_cli.system.system import System
 
 #: Draws of the belief that intervals are taken from, and the seed of their generator.
@@ -170,8 +170,9 @@ def randomisation(system: System, belief: Belief, tool: Tool) -> str:
     space = with_prior(system.space, belief)
     low, high = (np.array([getattr(p, end) for p in space.parameters]) for end in ("lower", "upper"))
     theta = np.clip(belief.sample(DRAWS, SEED), low, high)
-    model = system.edits.apply(system.model, space.nominal)
-    draws = Drawn(system, model, theta, system.edits.written(theta))
+    model, arrays = system.edits.apply(system.model, space.nominal), system.edits.written(theta)
+    _as_constants(model, arrays)
+    draws = Drawn(system, model, theta, arrays)
     entries = []
     for event in tool.events(draws):
         selector = f"{event.kind}_names={_code(tool.names([re.escape(name) for name in event.names]))}"
@@ -245,24 +246,22 @@ def _is_servo(model: mujoco.MjModel, row: int) -> bool:
 def _servos(draws: Drawn) -> Iterator[dict[str, object]]:
     """The model's position servos on hinges and slides, under the estimate, at their joints [SI].
 
-    `friction` is that of a gear under its usual load; `shortest` and `longest` are the ends of its delay.
+    `shortest` and `longest` are the ends of its delay.
     """
     model, delays = draws.model, draws.system.edits.delays(draws.theta)
-    friction, firmware, back_emf = _friction(model), SERVOS.rows(model), list(OF_SERVO).index("back_emf")
     for row in map(int, np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT)):
         joint, gear = int(model.actuator_trnid[row, 0]), float(model.actuator_gear[row, 0])
         if not _is_servo(model, row) or model.jnt_type[joint] not in _SINGLE:
             continue
         dof, limit = int(model.jnt_dofadr[joint]), model.actuator_forcerange[row, 1] * abs(gear)
-        lost_by_speed = model.numeric_data[firmware[row][back_emf]] if row in firmware else 0.0
         shortest, longest = ends(delays[:, min(row, delays.shape[1] - 1)])
         yield {
             "joint": model.joint(joint).name,
             "stiffness": float(model.actuator_gainprm[row, 0] * gear**2),
-            "damping": float((lost_by_speed - model.actuator_biasprm[row, 2]) * gear**2),
+            "damping": float(-model.actuator_biasprm[row, 2] * gear**2),
             "effort": float(limit) if model.actuator_forcelimited[row] else None,
             "armature": float(model.dof_armature[dof]),
-            "friction": float(friction[dof]),
+            "friction": float(model.dof_frictionloss[dof]),
             "viscous": float(np.ravel(model.dof_damping[dof])[0]),
             "shortest": shortest,
             "longest": longest,
@@ -295,14 +294,21 @@ def _argument(of: str, value: object) -> str:
     return f"steps({short})" if of in ("shortest", "longest") else repr(short)
 
 
-def _friction(model: mujoco.MjModel) -> FloatArray:
-    """Dry friction of each degree of freedom; that of a gear as it is under gravity, motor against load."""
-    friction = np.array(model.dof_frictionloss)
-    gears = GearFriction.of(model)
-    if gears is not None:
-        load, numbers = usual_load(model)[gears.dofs], model.numeric_data[gears.at]
-        friction[gears.dofs] += (numbers[:, 0] + numbers[:, 1]) * load
-    return friction
+def _as_constants(model: mujoco.MjModel, arrays: Mapping[str, FloatArray]) -> None:
+    """Write friction and back-EMF of a model, and of its draws, into the fields that every tool uses.
+
+    Dry friction of a gear is that under gravity, motor against load; back-EMF is damping of the servo.
+    """
+    gears, servos, back_emf = GearFriction.of(model), SERVOS.rows(model), list(OF_SERVO).index("back_emf")
+    load = usual_load(model)
+    of_model = {name: getattr(model, name)[None] for name in ("numeric_data", "dof_frictionloss", BIAS)}
+    for fields in (arrays, of_model):
+        numbers = fields.get("numeric_data", of_model["numeric_data"])
+        if gears is not None and "dof_frictionloss" in fields:
+            share = numbers[:, gears.at[:, :2]].sum(axis=2)  # k_m + k_e
+            fields["dof_frictionloss"][:, gears.dofs] += share * load[gears.dofs]
+        for row, at in servos.items() if BIAS in fields else ():
+            fields[BIAS][:, row, 2] -= numbers[:, at[back_emf]]
 
 
 def usual_load(model: mujoco.MjModel) -> FloatArray:
