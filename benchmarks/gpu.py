@@ -321,7 +321,8 @@ class Fit:
 def fit(name: str, kind: str, threads: int, seed: int = 0) -> Fit:
     """Identify a problem."""
     system, logs = PROBLEMS[name]()
-    spent, predict = [0.0], CpuEngine.predict
+    engine: Any = CpuEngine
+    spent, predict = [0.0], engine.predict
 
     def timed(*arguments: Any) -> Predicted:
         begun = time.process_time()
@@ -329,10 +330,10 @@ def fit(name: str, kind: str, threads: int, seed: int = 0) -> Fit:
         spent[0] += time.process_time() - begun
         return predicted
 
-    CpuEngine.predict = timed
+    engine.predict = timed
     start, cpu = time.perf_counter(), time.process_time()
     result = amhe.identify(system, logs, seed=seed, threads=threads, engine=kind)
-    CpuEngine.predict = predict
+    engine.predict = predict
     return Fit(
         time.perf_counter() - start,
         time.process_time() - cpu,
