@@ -1,6 +1,7 @@
 """Matching cost on graphics cards: agreement with the CPU engine, and steps a second against worlds.
 
     python benchmarks/gpu.py [--rollouts 1024,4096,8192,32768] [--problems go1_push,arm] [--device cuda:0]
+    python benchmarks/gpu.py --cards cuda:0,cuda:1   # the cost on all of them, beside the first
     python benchmarks/gpu.py --fits gpu,auto [--problems arm,cube_toss,feet] [--seeds 3]  # beside the cpu's
 
 "step" is the captured step of mujoco-warp on the same worlds through the motion of the clips: with their
@@ -144,9 +145,9 @@ def matching(system: System, logs: list[Log], engine: Engine) -> MatchingCost:
     return MatchingCost(system, pool.draw(np.random.default_rng(1), CLIPS), engine, system.settings.cost)
 
 
-def on_device(system: System, device: str) -> GpuEngine:
-    """The engine on one device."""
-    return GpuEngine(system.model, system.edits, system.input_spec, system.senses, [device])
+def on_device(system: System, *devices: str) -> GpuEngine:
+    """The engine on some devices."""
+    return GpuEngine(system.model, system.edits, system.input_spec, system.senses, devices)
 
 
 def agreement(name: str, device: str, cores: int) -> list[str]:
@@ -262,6 +263,19 @@ def speed(name: str, rollouts: int, device: str, cores: int) -> list[str]:
         f"{rate / 1e6:.2f} M", f"{rate / step:.2f}", f"{rest / 1e6:.2f} M", f"{active:.1f}, {idle:.1f}",
         f"{cpu / 1e6:.3f} M", f"{rate / cpu:.1f}x", f"{memory / 1024:.0f} KiB", f"{first:.1f} s",
         f"{set_.room.contacts}/{set_.room.rows}",
+    ]  # fmt: skip
+
+
+def shared(name: str, rollouts: int, devices: Sequence[str]) -> list[str]:
+    """Seconds of the cost on the first card and on all, and how far the costs of all are from its own."""
+    system, logs = PROBLEMS[name]()
+    z = 0.1 * np.random.default_rng(2).standard_normal((rollouts // CLIPS, len(system.space)))
+    one, all_ = (matching(system, logs, on_device(system, *some)) for some in (devices[:1], devices))
+    seconds = [timed(lambda cost=cost: cost.costs(z)) for cost in (one, all_)]
+    away = np.abs(all_.costs(z) / one.costs(z) - 1.0)
+    return [
+        name, f"{rollouts:,}", *(f"{s:.3f} s" for s in seconds), f"{seconds[0] / seconds[1]:.2f}x",
+        f"{np.median(away):.1e}", f"{away.max():.1e}",
     ]  # fmt: skip
 
 
@@ -382,6 +396,7 @@ def main() -> None:
     parser.add_argument("--problems", default=",".join(PROBLEMS))
     parser.add_argument("--device", default="cuda:0")
     parser.add_argument("--cores", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--cards", help="compare these with the first of them instead")
     parser.add_argument("--no-agreement", action="store_true")
     parser.add_argument("--iteration", help="problems of which to time one iteration of the search instead")
     parser.add_argument("--fits", help="engines by which to identify each problem instead, beside the cpu's")
@@ -391,7 +406,12 @@ def main() -> None:
         lines = [iteration(name, asked.cores) for name in asked.iteration.split(",")]
         show("One iteration, 4096 candidates on 8 clips", ("system", "gpu", "auto", "cores", "faster"), lines)
         return
-    names = asked.problems.split(",")
+    names, sizes = asked.problems.split(","), list(map(int, asked.rollouts.split(",")))
+    if asked.cards:
+        lines = [shared(name, size, asked.cards.split(",")) for name in names for size in sizes]
+        columns = ("system", "rollouts", "first", "all", "faster", "costs apart, median", "most")
+        show(f"Matching cost on {asked.cards}", columns, lines)
+        return
     if asked.fits:
         lines = []
         for name in names:
@@ -411,7 +431,7 @@ def main() -> None:
         )
     lines = []
     for name in names:
-        for rollouts in map(int, asked.rollouts.split(",")):
+        for rollouts in sizes:
             lines.append(speed(name, rollouts, asked.device, asked.cores))
             print(*lines[-1], flush=True)
     show(
