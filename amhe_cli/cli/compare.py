@@ -63,7 +63,8 @@ def compare(session: Session, given: Given) -> None:
     with progress(session, "compare", of_words) as show:
         how = given.pick("seed", "threads", "engine", "max_time")
         found = run(systems, read, held_out=scored, simplest=given.friction, progress=show, **how)
-    record = session.record(**found.record(), out=str(folder))
+    lines = _lines(opened[0], found.names[found.best]) if given.friction else []
+    record = session.record(**found.record(), out=str(folder)) | ({"lines": lines} if lines else {})
     found.write(folder, record, session.command_line)
     if session.gave(record):
         return
@@ -71,8 +72,8 @@ def compare(session: Session, given: Given) -> None:
     console.print(rich_table(comparison_table(found.names, found.horizons, found.best)), "")
     for text in found.verdicts:
         console.print(text)
-    if given.friction:
-        console.print("\n".join(_lines(opened[0], found.names[found.best])), soft_wrap=True)
+    if lines:
+        console.print("\n".join(lines), soft_wrap=True)
     console.print(f"report: {folder / 'report.html'}", soft_wrap=True)
 
 

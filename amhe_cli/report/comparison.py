@@ -100,7 +100,7 @@ def write_comparison(
     Args:
         folder: Folder of the files; made if it does not exist.
         compared: The comparison.
-        record: Content of result.json.
+        record: Content of result.json; of friction models its `lines` say how to go on.
         provenance: Versions, hashes, seed and command.
     """
     with results(folder, lambda: _page(compared, record, provenance), force=True) as scratch:
@@ -112,6 +112,8 @@ def _page(compared: Compared, record: Mapping[str, Any], provenance: Mapping[str
     settled = _settled(compared)
     clear = settled and not any("cannot tell" in text for text in verdicts)
     headline = f"{names[best]} predicts best." if clear else "The logs do not single out one model."
+    if lines := record.get("lines", ()):
+        headline = f"{names[best]} is the smallest model within one standard error of the best."
     return result_page(
         record,
         provenance,
@@ -143,6 +145,7 @@ def _page(compared: Compared, record: Mapping[str, Any], provenance: Mapping[str
                 "What was identified",
                 table=_model_table(names, compared.found),
             ),
+            *([Section("Next", text=lines[0], items=lines[1:], files=True)] if lines else ()),
         ],
     )
 

@@ -1,5 +1,6 @@
 """`amhe compare`: systems fitted to the same logs, and scored on the same clips."""
 
+import html
 import json
 import shutil
 from pathlib import Path
@@ -169,6 +170,7 @@ def test_the_smallest_friction_model_that_explains_a_geared_joint_wins(
     assert [one["name"] for one in record["systems"]] == ["M1", "M2", "M3", "M4", "M5", "M6"]
     assert record["best"] == "M3"
     lines = capsys.readouterr().out.split("add to the parameters of system.yaml:\n")[1].splitlines()[0]
+    assert lines == record["lines"][1] and lines.strip() in html.unescape((out / "report.html").read_text())
     again = text.replace("parameters:\n", f"parameters:\n{lines}\n") + signals
     (folder / "system.yaml").write_text(again)
     system = amhe.System.load(folder)
