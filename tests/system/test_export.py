@@ -7,6 +7,7 @@ import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -263,3 +264,11 @@ def test_a_gear_that_locks_holds_its_load(k: float, moves: bool) -> None:
     assert (data.qpos[0] > 0.05) == moves
     expected = 0.5 * (1.962 * (1 - k) - 0.01) / (0.04 + 1.6e-4) * 0.2**2
     assert not moves or data.qpos[0] == pytest.approx(expected, rel=0.1)
+    fields = ("qfrc_actuator", "qfrc_constraint", "qfrc_smooth", "qfrc_damper", "qvel")
+    several = SimpleNamespace(**{name: np.tile(getattr(data, name), (3, 1)) for name in fields})
+    batch = SimpleNamespace(dof_frictionloss=np.full((3, 1), 0.01))
+    as_in_mjlab = names["GearFriction"](model, batch)
+    batch.dof_frictionloss[:] = model.dof_frictionloss
+    as_in_mjlab(several)
+    hook(data)
+    np.testing.assert_allclose(batch.dof_frictionloss, np.full((3, 1), model.dof_frictionloss[0]), rtol=1e-12)
