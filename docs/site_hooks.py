@@ -17,6 +17,8 @@ _OUTSIDE = re.compile(r"\[([^\]]*)\]\(\.\./[^)]*\)")
 
 #: $$ ... $$ and $...$: equations in LaTeX, as GitHub renders them.
 _DISPLAYED, _INLINE = re.compile(r"\$\$(.+?)\$\$", re.DOTALL), re.compile(r"(?<![\w`$])\$([^$\n]+)\$")
+#: An option in inline code, and what keeps it on one line.
+_OPTION, _KEPT = re.compile(r"(?<!\S)--?[a-z][\w.-]*"), r'<span style="white-space:nowrap">\g<0></span>'
 _CODE = re.compile(r"(```.*?```|`[^`\n]*`)", re.DOTALL)
 
 
@@ -26,6 +28,12 @@ def on_files(files: Files, config: Any) -> Files:
     text = re.sub(r"\]\((?!\.\./|https?:|#)", "](../", text).replace("](../docs/", "](")
     files.append(File.generated(config, "index.md", content=text))
     return files
+
+
+def on_page_content(html: str, **_: Any) -> str:
+    """No line ends within an option of inline code."""
+    code = re.compile(r"(?<!<pre>)<code>([^<]*)</code>")
+    return code.sub(lambda m: f"<code>{_OPTION.sub(_KEPT, m[1])}</code>", html)
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:

@@ -249,6 +249,8 @@ def next_steps(result: Identification, folder: str | Path, view: bool) -> list[s
     rows = result.missing.rows if result.missing and not result.repairs else ()
     names = [] if any(row.in_log for row in rows) else [row.name for row in rows if row.repair]
     mend = [f"mend: amhe identify with --repair tries {numbers.some(names)}"] if names else []
+    if result.missing is None and any(one.kind == "misfit" for one in result.unexplained):
+        mend.append(f"why: amhe explain {quoted}")
     if stuck := [p.name for p in result.parameters if any(one.kind == "bound" for one in p.reasons)]:
         own = Path(folder) / "system"
         system = shlex.quote(str(own)) if own.exists() else "FOLDER"

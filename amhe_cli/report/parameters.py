@@ -136,7 +136,7 @@ def budget_section(parameters: Sequence[ParameterResult]) -> Section:
     return Section(
         "Where each interval comes from",
         text=meanings + ". The last column says by how much of its sd the estimate would move.",
-        table=Table(head, ("name", STRONG, "", "soft", NUMBER), rows),
+        table=Table(head, ("name", STRONG, "", "soft text", NUMBER), rows),
         folded=True,
     )
 

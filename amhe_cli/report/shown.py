@@ -63,8 +63,11 @@ def html_table(table: Table) -> Markup:
 def result_html(found: Identification) -> str:
     """What was identified, as a table and sentences in the colours of the text around them."""
     notes = Markup("").join([Markup("<li>{}</li>").format(said(one.text)) for one in statements(found)])
-    table = html_table(parameter_table(found.lines))
-    return str(Markup("<p><b>{}</b></p>{}<ul>{}</ul>").format(headline(found), table, notes))
+    table = parameter_table(found.lines)
+    # verdicts second, as on pages: a narrow frame shows them, too
+    head, looks, *rows = ((row[0], row[-1], *row[1:-1]) for row in (table.head, table.looks, *table.rows))
+    shown = html_table(Table(head, looks, rows))
+    return str(Markup("<p><b>{}</b></p>{}<ul>{}</ul>").format(headline(found), shown, notes))
 
 
 @singledispatch

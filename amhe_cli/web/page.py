@@ -35,6 +35,7 @@ def template(name: str) -> Any:
     )
     environment.filters["digest"] = script_digest
     environment.filters["said"] = said
+    environment.filters["whole"] = whole
     return environment.get_template(name)
 
 
@@ -44,7 +45,14 @@ def said(text: str | Markup) -> Markup:
         return text
     parts = re.split(r"`([^`]+)`", printable(text, keep="\n"))
     code = Markup("<code>{}</code>").format
-    return Markup("").join(code(part) if i % 2 else escape(part) for i, part in enumerate(parts))
+    return Markup("").join(code(whole(part)) if i % 2 else escape(part) for i, part in enumerate(parts))
+
+
+def whole(text: str) -> Markup:
+    """A command, or a name, as HTML: no line ends within `--an-option`."""
+    parts = re.split(r"(?<!\S)(--?[a-z][\w.-]*)", printable(text, keep="\n"))
+    kept = Markup('<span style="white-space:nowrap">{}</span>').format
+    return Markup("").join(kept(part) if i % 2 else escape(part) for i, part in enumerate(parts))
 
 
 def script_digest(script: str) -> str:

@@ -134,6 +134,8 @@ def test_what_to_do_next_is_to_mend_a_model_that_misses_its_logs() -> None:
         "look: amhe view r",
         "mend: amhe identify with --repair tries spring@hip",
     ]
+    touching = replace(missed, missing=None)
+    assert next_steps(touching, "r", True) == ["look: amhe view r", "why: amhe explain r"]
     assert [line.split(":")[0] for line in next_steps(identification(), "r", True)] == [
         *("look", "use", "randomise")
     ]
@@ -297,7 +299,7 @@ def test_distance_from_a_value_near_zero_is_in_prior_sd() -> None:
 def test_the_page_says_where_each_interval_comes_from(html: str) -> None:
     """Shares below half a percent are left out, and kinds that no parameter has."""
     fold = html[html.rindex("Where each interval comes from") :].split("</table>")[0]
-    assert re.findall(r'<td class="soft">([^<]*)</td>', fold) == [
+    assert re.findall(r'<td class="soft text">([^<]*)</td>', fold) == [
         "noise 80 %, prior 20 %", "assumed 60 %, noise 40 %", "repeats 40 %, curvature 30 %, noise 30 %",
         "prior 100 %",
     ]  # fmt: skip

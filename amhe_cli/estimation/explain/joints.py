@@ -104,10 +104,20 @@ def _numbers(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
 def _in_time(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
     """A constant force, and what changes slowly."""
     later = maker.time - maker.time.mean()
-    constant = says(f"a constant force of # {j.f}")
+    constant = partial(_constant, maker, j)
     repair = partial(_soft_spring, maker, j) if j.place >= 0 else None
     yield maker.on(j, "constant", [np.ones_like(later)], constant, repair=repair)
     yield maker.on(j, "drift", [later], says(f"a force that drifts by # {j.f}/s"))
+
+
+def _constant(maker: CauseMaker, j: MeasuredDof, c: FloatArray, sd: FloatArray) -> str:
+    """A constant force; that it carries a free body."""
+    text, model = f"a constant force of {number(c[0], sd[0])} {j.f}", maker.model
+    pull = model.opt.gravity["xyz".index(j.name[-1])] if j.place < 0 and j.u == "m" else 0.0
+    if c[0] * pull >= 0.0 or maker.found.forces.by[..., j.dof].any():
+        return text
+    weight = model.body_subtreemass[model.dof_bodyid[j.dof]] * abs(pull)
+    return f"{text} against its weight of {weight:.3g} {j.f}: something carries it, such as a hand"
 
 
 def _springs(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:

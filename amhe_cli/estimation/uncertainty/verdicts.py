@@ -233,14 +233,12 @@ def _at_bound(space: ParameterSpace, evidence: Evidence, i: int) -> list[Reason]
 
 
 def _partners(space: ParameterSpace, evidence: Evidence, i: int) -> list[Reason]:
-    row = evidence.correlations[i]
-    return [
-        Reason(
-            "together",
-            (space.names[i], space.names[j]),
-            abs(float(row[j])),
-            f"known mostly together with {space.names[j]} (correlation {row[j]:+.2f})",
-        )
-        for j in range(len(space))
-        if j != i and abs(row[j]) > TOGETHER
-    ]
+    """Whom a value trades places with, in the words that all of such a group share."""
+    row = np.abs(evidence.correlations[i])
+    names = tuple(name for j, name in enumerate(space.names) if j == i or row[j] > TOGETHER)
+    if len(names) == 1:
+        return []
+    sizes = sorted({f"{row[j]:.2f}" for j, name in enumerate(space.names) if j != i and name in names})
+    size = " to ".join(dict.fromkeys((sizes[0], sizes[-1])))
+    text = f"known mostly together: {', '.join(names[:-1])} and {names[-1]} (correlation {size})"
+    return [Reason("together", names, float(sizes[-1]), text)]

@@ -227,8 +227,9 @@ def test_the_end_of_a_linear_scale_at_0_is_no_bound_that_decides() -> None:
 def test_parameters_that_are_known_only_together_name_each_other_and_their_product() -> None:
     covariance = 0.05**2 * np.array([[1.0, -0.98, 0.0], [-0.98, 1.0, 0.0], [0.0, 0.0, 1.0]])
     found = verdicts(SPACE, evidence(covariance=covariance))
-    assert texts(found[0]) == ["known mostly together with friction (correlation -0.98)"]
-    assert texts(found[1]) == ["known mostly together with mass (correlation -0.98)"]
+    assert (
+        texts(found[0]) == texts(found[1]) == ["known mostly together: mass and friction (correlation 0.98)"]
+    )
     assert texts(found[2]) == []
     assert found[0].reasons[0].parameters == ("mass", "friction")
     sharp, blunt = combinations(SPACE, covariance, np.ones(3, dtype=bool))
