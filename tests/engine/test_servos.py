@@ -14,7 +14,7 @@ from amhe_cli.engine.inverse import forces_along
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.system.export.mjcf import identified_xml
-from amhe_cli.system.parameters.servos import Servos
+from amhe_cli.system.parameters.servos import Servos, with_servos
 from amhe_cli.system.system import System
 from tests.engine.conftest import Open
 
@@ -127,6 +127,19 @@ def test_forces_along_a_motion_have_it() -> None:
     still, command = np.zeros((2, 1)), np.array([[0.01], [0.3]])
     given = forces_along(model, still, still, still, command, system.input_spec).given
     np.testing.assert_allclose(given[:, 0], [0.1 * LIMIT, 0.3 * KP])
+
+
+def test_a_servo_of_no_gain_is_one_whose_torque_is_off() -> None:
+    """`known: {torque: 0, back_emf: 0}` of a drop: what looks for causes meets such a model."""
+    system = swing({"punch": 0.06})
+    model = system.edits.apply(system.model, system.space.nominal)
+    model.actuator_gainprm[0, 0] = model.actuator_biasprm[0, 1] = 0.0
+    free, drive = with_servos(model, np.full((1, 1), 0.3), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 0)))
+    drive(0)
+    data = mujoco.MjData(free)
+    data.qpos[0], data.qvel[0], data.ctrl[0] = 0.3, 1.0, 1.0
+    mujoco.mj_forward(free, data)
+    assert data.actuator_force[0] == 0.0
 
 
 def test_an_exported_model_has_the_numbers() -> None:

@@ -174,7 +174,8 @@ def servo_cells(model: mujoco.MjModel, row: int, word: str) -> list[Cells]:
 
 def _check(model: mujoco.MjModel, row: int) -> None:
     name, bias = model.actuator(row).name, model.actuator_biasprm[row]
-    if int(model.actuator_trntype[row]) != mujoco.mjtTrn.mjTRN_JOINT or bias[0] or not bias[1]:
+    feedback = bias[1] or not model.actuator_gainprm[row, 0]  # a parameter may say that the torque is off
+    if int(model.actuator_trntype[row]) != mujoco.mjtTrn.mjTRN_JOINT or bias[0] or not feedback:
         raise ConfigError(f"actuator {name!r} is no position servo of a joint: only these have a firmware")
     if not model.actuator_forcelimited[row]:
         raise ConfigError(f"actuator {name!r} needs a forcerange in the model: its torque at full duty")
