@@ -16,16 +16,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.errors import NOTE, SimulationError
 from amhe_cli.engine.cpu import CpuEngine
-from amhe_cli.engine.rollout import (
-    Call,
-    Engine,
-    Predicted,
-    Rollouts,
-    Starts,
-    Wanted,
-    candidates_last,
-    predicted_in_parts,
-)
+from amhe_cli.engine.rollout import Engine, Predicted, Rollouts, Starts, Wanted
 from amhe_cli.engine.states import collides
 from amhe_cli.system.parameters.model_edits import ModelEdits
 
@@ -90,8 +81,6 @@ FOLLOWING = 10
 #: The longest that a thread which opens the cards has Python's lock where another one waits for it [s]; of
 #: Python's own 5 ms, rollouts on the CPU, which give the lock back and forth, would take twice as long.
 BRIEF, USUAL = 2e-4, sys.getswitchinterval()
-#: Parts of a call that the processor computes while the cards open: once they are open, the rest is theirs.
-PARTS = 4
 
 
 def in_background(work: Callable[[], T]) -> Future[T]:
@@ -127,11 +116,6 @@ class Opening:
         self.refused = False
 
     @property
-    def begun(self) -> bool:
-        """Whether the cards open, or are open."""
-        return self._cards is not None
-
-    @property
     def done(self) -> bool:
         """Whether the cards are open; kernels that were never compiled may take a minute."""
         return self._cards is not None and self._cards.done()
@@ -145,18 +129,15 @@ class Opening:
         assert self._cards is not None
         return self._cards.result()
 
-    def worth(self, count: int, here: float, there: float) -> bool:
-        """Whether open cards are quicker than the processor, where a call takes so long on each [s].
-
-        Where calls like it are worth it, the cards begin to open.
-        """
+    def takes(self, count: int, here: float, there: float) -> bool:
+        """Whether the cards compute a call that takes so long on the processor, and on open cards [s]."""
         if here <= there or self.refused:
             return False
         if self._cards is None:
             self._saved += here - there
             if self._saved + FOLLOWING * (here - there) >= START:
                 self._cards = self._begin(count)
-        return True
+        return self.done
 
 
 class AutoEngine:
@@ -200,55 +181,26 @@ class AutoEngine:
         self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray, lengths: IntArray
     ) -> Rollouts:
         """See `Engine.rollout`."""
-        worth = self.expects(1, lengths)
-        return self._computed(worth, lambda engine: engine.rollout(theta, qpos, qvel, inputs, lengths))
+        call = len(lengths), int(lengths.sum()), int(lengths.max())
+        return self._computed(*call, lambda engine: engine.rollout(theta, qpos, qvel, inputs, lengths))
 
     def predict(
         self, theta: FloatArray, starts: Starts, errors: FloatArray | None, wanted: Sequence[Wanted]
     ) -> Predicted:
         """See `Engine.predict`."""
-        worth, opening = self.expects(len(theta), starts.lengths), self._opening
-        if worth and opening.begun and not opening.done:
-            return predicted_in_parts((PARTS, 1), theta, starts, errors, wanted, self._in_turn)
-        return self._computed(worth, lambda engine: engine.predict(theta, starts, errors, wanted))
-
-    def expects(self, count: int, lengths: IntArray) -> bool:
-        """Begin to open the cards if that is worth it for calls of so many candidates on clips.
-
-        Args:
-            count: Number of candidates.
-            lengths: Steps of each clip, shape (c,).
-
-        Returns:
-            Whether open cards are quicker than the processor.
-        """
-        rollouts, steps = count * len(lengths), count * int(lengths.sum())
-        here, there = (
-            steps * self._line.core / self._threads,
-            int(lengths.max()) * self._line.on_card(rollouts),
-        )
-        return self._opening.worth(rollouts, here, there)
+        count, lengths = len(theta), starts.lengths
+        call = count * len(lengths), count * int(lengths.sum()), int(lengths.max())
+        return self._computed(*call, lambda engine: engine.predict(theta, starts, errors, wanted))
 
     def upon(self, model: mujoco.MjModel, edits: ModelEdits | None = None) -> AutoEngine:
         """See `Engine.upon`."""
         cpu, cards = self._cpu.upon(model, edits), lambda: self._opened().upon(model, edits)
         return AutoEngine(cpu, self._opening, cards, model, self._threads)
 
-    def _in_turn(self, calls: Sequence[Call]) -> list[Predicted]:
-        """Parts of a prediction: by the processor until the cards are open, and the rest by these at once."""
-        done: list[Predicted] = []
-        while len(done) < len(calls) and not self._opening.done:
-            done.append(self._cpu.predict(*calls[len(done)]))
-        if rest := calls[len(done) :]:
-            _, starts, _, wanted = rest[0]
-            theta, errors = np.concatenate([c[0] for c in rest]), [c[2] for c in rest if c[2] is not None]
-            call = theta, starts, np.concatenate(errors) if errors else None, wanted
-            done.append(self._computed(True, lambda engine: engine.predict(*call)))
-        return list(map(candidates_last, done))
-
-    def _computed(self, worth: bool, call: Callable[[Engine], T]) -> T:
-        """A call by the cards, if they are open and it is worth it; else by the processor."""
-        engine = self._opened() if worth and self._opening.done else self._cpu
+    def _computed(self, count: int, steps: int, longest: int, call: Callable[[Engine], T]) -> T:
+        """A call of so many rollouts, of so many steps together and in the longest, by the quicker engine."""
+        here, there = steps * self._line.core / self._threads, longest * self._line.on_card(count)
+        engine = self._opened() if self._opening.takes(count, here, there) else self._cpu
         try:
             return call(engine)
         except SimulationError as error:

@@ -14,7 +14,7 @@ from typing import Any, Literal, Protocol
 import mujoco
 import numpy as np
 
-from amhe_cli.core.arrays import AnyArray, BoolArray, FloatArray, IntArray, namespace_of, side_by_side
+from amhe_cli.core.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from amhe_cli.engine.states import integrated
 from amhe_cli.system.parameters.model_edits import ModelEdits
 
@@ -280,10 +280,9 @@ def cut(count: int, parts: int) -> list[IntArray]:
 
 
 def _joined(parts: Sequence[Predicted], axis: int) -> Predicted:
-    columns = map(side_by_side, zip(*(part.values for part in parts), strict=True))
+    columns = zip(*(part.values for part in parts), strict=True)
     completed = np.concatenate([part.completed for part in parts], axis)
-    values = tuple(namespace_of(arrays[0]).concatenate(arrays, axis) for arrays in columns)
-    return Predicted(values, completed)
+    return Predicted(tuple(np.concatenate(values, axis) for values in columns), completed)
 
 
 class Engine(Protocol):

@@ -10,13 +10,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
-import numpy as np
-
 from amhe_cli.core.belief import Belief, with_prior
 from amhe_cli.core.each_log import named, searched
 from amhe_cli.core.errors import NOTE, ConfigError, EstimationError, LogError, and_more, one_of
 from amhe_cli.core.log import Log, Window, in_order
-from amhe_cli.engine.auto import AutoEngine
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.conclude import PARTS, RESERVE, Search, conclude
 from amhe_cli.estimation.core.agreement import SURPRISE
@@ -140,11 +137,6 @@ def searched_for(
     kept.load()  # one of another problem is refused before any work
     if not quick:
         _warn(system, problem)
-    if (
-        isinstance(problem.engine, AutoEngine) and problem.touches
-    ):  # the most of its calls linearise all clips
-        steps = np.array([round(clip.duration / system.dt) for clip in problem.clips])
-        problem.engine.expects(problem.linearisation // len(steps), steps)
     watch.keep(RESERVE * problem.linearisation)
     begin = search.start(problem) if near is None else near.again(problem)
     finding = _search(problem, options.method, watch, kept, begin)

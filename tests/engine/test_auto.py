@@ -18,7 +18,6 @@ from amhe_cli.engine import open as opening
 from amhe_cli.engine.auto import (
     BRIEF,
     FEWEST,
-    PARTS,
     TABLE,
     AutoEngine,
     StepCost,
@@ -134,24 +133,6 @@ def test_cards_open_once_that_is_worth_it_while_the_processor_computes_on(cards,
     monkeypatch.undo()
     engine.rollout(*large)
     assert [len(one.calls) for one in cards] == [1]
-
-
-@pytest.mark.parametrize("parts", range(4))
-def test_a_call_that_the_processor_has_begun_ends_on_the_cards(cards, monkeypatch, parts: int) -> None:
-    """They open after so many of its parts."""
-    ready: Future[Any] = Future()
-    monkeypatch.setattr(opening, "in_background", lambda work: ready.set_result(work()) or ready)
-    engine, (starts, wanted) = auto(), clips(PENDULUM, 10)
-    theta = some(int(engine.fewest) // 4)[0]
-    errors = np.random.default_rng(0).normal(size=(len(theta), 10, PENDULUM.model.nv))
-    begun = iter([False] * (1 + parts))
-    monkeypatch.setattr(ready, "done", lambda: next(begun, True))
-    engine.expects(len(theta), starts.lengths)
-    assert [one.calls for one in cards] == [[]], "calls are expected that are worth it"
-    done, alone = (each.predict(theta, starts, errors, wanted) for each in (engine, open_engine(PENDULUM)))
-    assert cards[0].calls == [10 * (len(theta) - sum(map(len, np.array_split(theta, PARTS)[:parts])))]
-    for one, other in zip(done.values, alone.values, strict=True):
-        np.testing.assert_array_equal(one, other)
 
 
 def test_rollouts_do_not_wait_for_the_thread_that_opens_the_cards() -> None:
