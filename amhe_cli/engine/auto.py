@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 import threading
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -74,13 +75,19 @@ def step_cost(model: mujoco.MjModel) -> StepCost:
 
 T = TypeVar("T")
 
-#: Time that calls must save for the cards to be opened, which takes 3 s [s].
-START = 2.0
-#: Calls like the first large one that a command is expected to make.
-FOLLOWING = 10
+#: Time that the cards take to open, while the processor computes on [s].
+OPENS = 5.0
+#: Time that calls must save beyond it: the thread that opens the cards takes Python's lock from rollouts [s].
+START = 3.0
+#: Calls like a large one that are expected after it, by their rollouts: as in a search with contacts.
+FOLLOWING = 2.7
+#: Steps of a call on the processor from which its time shows what a step takes.
+MEASURED = 1000
 #: The longest that a thread which opens the cards has Python's lock where another one waits for it [s]; of
 #: Python's own 5 ms, rollouts on the CPU, which give the lock back and forth, would take twice as long.
 BRIEF, USUAL = 2e-4, sys.getswitchinterval()
+#: Name of threads that open cards, or compile for them: a process that ends does not wait for them.
+OPENING = "opens cards"
 
 
 def in_background(work: Callable[[], T]) -> Future[T]:
@@ -96,7 +103,7 @@ def in_background(work: Callable[[], T]) -> Future[T]:
         finally:
             sys.setswitchinterval(USUAL)
 
-    threading.Thread(target=fill, daemon=True).start()
+    threading.Thread(target=fill, daemon=True, name=OPENING).start()
     return future
 
 
@@ -111,6 +118,8 @@ class Opening:
         self._begin = begin
         #: What calls would have saved on the cards [s], until these begin to open.
         self._saved = 0.0
+        #: Time of one step on one core, as calls show it [s]; None: none was long enough.
+        self.core: float | None = None
         self._cards: Future[Engine] | None = None
         #: Whether the cards have refused a call.
         self.refused = False
@@ -135,7 +144,7 @@ class Opening:
             return False
         if self._cards is None:
             self._saved += here - there
-            if self._saved + FOLLOWING * (here - there) >= START:
+            if self._saved + (FOLLOWING - OPENS / here) * (here - there) >= START:
                 self._cards = self._begin(count)
         return self.done
 
@@ -199,15 +208,25 @@ class AutoEngine:
 
     def _computed(self, count: int, steps: int, longest: int, call: Callable[[Engine], T]) -> T:
         """A call of so many rollouts, of so many steps together and in the longest, by the quicker engine."""
-        here, there = steps * self._line.core / self._threads, longest * self._line.on_card(count)
+        core = self._opening.core or self._line.core
+        here, there = steps * core / self._threads, longest * self._line.on_card(count)
         engine = self._opened() if self._opening.takes(count, here, there) else self._cpu
+        if engine is self._cpu:
+            return self._measured(steps, call)
         try:
             return call(engine)
         except SimulationError as error:
-            if engine is self._cpu:
-                raise
             self._stand_aside(error)
             return call(self._cpu)
+
+    def _measured(self, steps: int, call: Callable[[Engine], T]) -> T:
+        """A call of the processor, whose time shows what a step takes: cores differ by a factor of two."""
+        begun = time.process_time()
+        done = call(self._cpu)
+        if steps >= MEASURED:
+            each = (time.process_time() - begun) / steps
+            self._opening.core = min(each, self._opening.core or np.inf)
+        return done
 
     def _opened(self) -> Engine:
         if self._cards is None:

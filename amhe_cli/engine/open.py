@@ -13,7 +13,7 @@ from amhe_cli.core.errors import NOTE, ConfigError, SimulationError
 from amhe_cli.engine.auto import AutoEngine, Opening, in_background
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.gpu.engine import GpuEngine
-from amhe_cli.engine.gpu.visible import visible_cards
+from amhe_cli.engine.gpu.visible import look_for_cards, visible_cards
 from amhe_cli.engine.inverse import InverseEngine
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.engine.spread import SpreadEngine
@@ -67,7 +67,7 @@ def open_engine(
     if kind == "cpu":
         return cpu
     try:
-        cards = visible_cards()
+        look_for_cards()
     except SimulationError as error:
         logger.log(NOTE, "the CPU computes all rollouts: %s", str(error).partition(";")[0])
         return cpu
@@ -80,8 +80,8 @@ def open_engine(
     opening = Opening(lambda count: in_background(lambda: loaded(count)))
     engine = AutoEngine(cpu, opening, opening.opened, about[0], threads)
     logger.log(
-        NOTE, "the graphics card%s, where it is quicker: calls of %.0f equally long rollouts or more; "
-        "else the CPU", "s" * (len(cards) > 1), engine.fewest,
+        NOTE, "the graphics card, where it is quicker: calls of %.0f equally long rollouts or more; "
+        "else the CPU", engine.fewest,
     )  # fmt: skip
     return engine
 

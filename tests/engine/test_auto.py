@@ -18,6 +18,7 @@ from amhe_cli.engine import open as opening
 from amhe_cli.engine.auto import (
     BRIEF,
     FEWEST,
+    FOLLOWING,
     TABLE,
     AutoEngine,
     StepCost,
@@ -60,9 +61,10 @@ def cards(monkeypatch: pytest.MonkeyPatch) -> list[Cards]:
         opened.append(Cards(CpuEngine(model, edits, input_spec, 1, sensors)))
         return opened[-1]
 
-    monkeypatch.setattr(opening, "visible_cards", lambda: ["cuda:0"])
+    monkeypatch.setattr(opening, "look_for_cards", lambda: None)
     monkeypatch.setattr(opening, "_gpu_engine", opens)
-    monkeypatch.setattr("amhe_cli.engine.auto.START", 0.0)
+    for name, value in {"START": 0.0, "OPENS": 0.0, "MEASURED": np.inf}.items():
+        monkeypatch.setattr(f"amhe_cli.engine.auto.{name}", value)
     monkeypatch.setattr(opening, "in_background", at_once)
     return opened
 
@@ -93,7 +95,7 @@ def test_without_a_card_it_is_the_engine_of_the_processor_and_says_so(monkeypatc
     def none() -> list[str]:
         raise SimulationError("no graphics card that CUDA can use; take the engine 'cpu'")
 
-    monkeypatch.setattr(opening, "visible_cards", none)
+    monkeypatch.setattr("amhe_cli.engine.gpu.visible.visible_cards", none)
     caplog.set_level(NOTE, "amhe_cli")
     assert isinstance(open_engine(PENDULUM, kind="auto"), CpuEngine)
     assert caplog.messages == ["the CPU computes all rollouts: no graphics card that CUDA can use"]
@@ -122,9 +124,10 @@ def test_cards_open_once_that_is_worth_it_while_the_processor_computes_on(cards,
     engine = auto()
     large = alike(int(2.0 * engine.fewest))  # takes 1 on the cards, 2 on the processor
     each = 40 * step_cost(PENDULUM.model).on_card(1)
-    monkeypatch.setattr("amhe_cli.engine.auto.START", 13.5 * each)
+    monkeypatch.setattr("amhe_cli.engine.auto.START", (3.5 + FOLLOWING - 1.0) * each)
+    monkeypatch.setattr("amhe_cli.engine.auto.OPENS", 2.0 * each)
     for _ in range(3):
-        engine.rollout(*large)  # these calls and ten that are expected gain 13
+        engine.rollout(*large)  # these gain 3, and those that are expected, but for one while the cards open
     assert not cards
     monkeypatch.setattr(ready, "done", lambda: False)
     for _ in range(5):
@@ -180,12 +183,13 @@ def test_the_end_of_a_process_does_not_wait_for_cards_that_still_open() -> None:
     code = """
 import threading
 import numpy as np
-from amhe_cli.engine import open as opening
+from amhe_cli.engine import auto, open as opening
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.system.system import System
 
+auto.START = auto.OPENS = 0.0
 begun = threading.Event()
-opening.visible_cards = lambda: ["cuda:0"]
+opening.look_for_cards = lambda: None
 opening._gpu_engine = lambda *about: begun.set() or threading.Event().wait()
 CpuEngine.rollout = lambda *arguments: print("computed")
 engine = opening.open_engine(System.load("pendulum"), kind="auto")
@@ -218,16 +222,29 @@ def test_a_call_that_the_cards_refuse_goes_to_the_processor_and_so_do_all_others
 
 def test_mujoco_warp_is_loaded_when_a_call_is_worth_it(monkeypatch, caplog) -> None:
     """It takes seconds; here it cannot be loaded at all."""
-    monkeypatch.setattr("amhe_cli.engine.open.visible_cards", lambda: ["cuda:0"])
+    monkeypatch.setattr(opening, "look_for_cards", lambda: None)
+    monkeypatch.setattr(opening, "visible_cards", lambda: ["cuda:0"])
     monkeypatch.setitem(sys.modules, "amhe_cli.engine.gpu.card", None)
     monkeypatch.setattr(opening, "in_background", at_once)
-    monkeypatch.setattr("amhe_cli.engine.auto.START", 0.0)
+    for name in ("START", "OPENS"):
+        monkeypatch.setattr(f"amhe_cli.engine.auto.{name}", 0.0)
     caplog.set_level(NOTE, "amhe_cli")
     engine = auto()
     engine.rollout(*some(2))
     assert len(caplog.messages) == 1, "only where the card is quicker"
     engine.rollout(*alike(int(engine.fewest) + 1))
     assert "which is not installed: pip install 'amhe[gpu]'" in caplog.messages[1]
+
+
+def test_what_a_step_takes_is_seen_in_calls(cards, monkeypatch) -> None:
+    """Cores differ by a factor of two, and so does the size from which the cards are quicker."""
+    engine, large = auto(), alike(30)
+    monkeypatch.setattr("amhe_cli.engine.auto.MEASURED", 30 * 40)
+    clock = iter([0.0, 30 * 40 * 1e-3, 5.0, 5.0 + 30 * 40 * 1e-7])  # slow, and quick
+    monkeypatch.setattr("amhe_cli.engine.auto.time.process_time", lambda: next(clock))
+    engine.rollout(*large)
+    engine.rollout(*alike(29))
+    assert [one.calls for one in cards] == [[29]]
 
 
 def test_the_table_is_read_by_contacts_and_size() -> None:

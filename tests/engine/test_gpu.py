@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import sys
+import threading
+import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
@@ -131,7 +134,14 @@ def test_all_modules_that_a_step_needs_are_loaded_side_by_side(
     model, data = mjw.put_model(blueprint.model), mjw.make_data(blueprint.model, nworld=16)
     kind, loaded = type(wp.get_module("any")), []
     load = kind.load
-    monkeypatch.setattr(kind, "load", lambda self, *given: loaded.append(self) or load(self, *given))
+    waited_for = []
+
+    def loads(self: Any, *given: Any) -> Any:
+        loaded.append(self)
+        waited_for.append(not threading.current_thread().daemon)
+        return load(self, *given)
+
+    monkeypatch.setattr(kind, "load", loads)
     device = wp.get_device(DEVICES[0])
 
     def suggested(kernel: Any, *given: Any) -> tuple[int, int]:
@@ -142,6 +152,7 @@ def test_all_modules_that_a_step_needs_are_loaded_side_by_side(
 
     monkeypatch.setattr(wp, "get_suggested_block_size", suggested)
     load_together(device, lambda: mjw.step(model, data), 2)
+    assert not all(waited_for), "the end of the process waits for no thread that compiles"
     assert not data.time.numpy().any()
     assert len(together := set(loaded)) > 10
     assert caplog.text.count("kernels of the graphics card compile, once") == 1
@@ -170,6 +181,18 @@ def test_arrays_of_a_card_are_made_on_that_card() -> None:
 
 def test_several_cards_share_a_prediction(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine_module, "LEAST", 4)
+    """Each is used by one thread at a time: what another one launches there would be captured in its graph."""
+    running, run = Counter(), Worlds.run
+
+    def alone(self: Worlds, job: Any) -> Any:
+        running[self._device] += 1
+        time.sleep(0.02)
+        assert running[self._device] == 1
+        done = run(self, job)
+        running[self._device] -= 1
+        return done
+
+    monkeypatch.setattr(Worlds, "run", alone)
     arguments = call(PENDULUM)
     (one,), (three,) = (on(PENDULUM, *n * DEVICES).predict(*arguments).values for n in (1, 3))
     np.testing.assert_array_equal(to_host(three), to_host(one))

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import logging
 import os
+import threading
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import cache
 from typing import Any
 
@@ -57,6 +58,12 @@ def refusals() -> Iterator[None]:
 
 
 @cache
+def in_use(device: str) -> AbstractContextManager[Any]:
+    """Held by the thread that uses a card: what others launch there would be captured in its graphs."""
+    return threading.RLock()
+
+
+@cache
 def free_bytes(device: str) -> int:
     """Memory of a card that others left free when this process looked first [bytes]."""
     return int(wp.get_device(device).free_memory)
@@ -75,7 +82,7 @@ class Card:
 
     def __init__(self, blueprint: Blueprint, device: str) -> None:
         self.blueprint, self._device = blueprint, device
-        with refusals():
+        with in_use(device), refusals():
             _check_supported(blueprint, device)
         #: Buffers of a world; they grow.
         self.room = first_room(blueprint.model)
@@ -110,7 +117,7 @@ class Card:
             SimulationError: mujoco-warp refused a rollout.
         """
         for last in (*DOUBLINGS * (False,), True):
-            with refusals():
+            with in_use(self._device), refusals():
                 values, completed, full = self.worlds(len(job.queue), int(job.ends.max())).run(job)
             if not full:
                 break
@@ -139,7 +146,8 @@ class Card:
         if not self.memory:
             return WITHOUT_CARD
         if self.room not in self._bytes:
-            self._bytes[self.room] = bytes_per_world(self.blueprint, self.room, self._device)
+            with in_use(self._device):
+                self._bytes[self.room] = bytes_per_world(self.blueprint, self.room, self._device)
         return max(1, int(self.part * MEMORY_SHARE * self.memory / (self._bytes[self.room] + record)))
 
     def worlds(self, count: int, steps: int = 0) -> Worlds:

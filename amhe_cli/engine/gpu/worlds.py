@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from threading import Lock
+from threading import Lock, Thread
 from typing import Any
 
 import mujoco
@@ -19,6 +18,7 @@ import warp as wp
 
 from amhe_cli.core.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from amhe_cli.core.errors import NOTE
+from amhe_cli.engine.auto import OPENING
 from amhe_cli.engine.gpu import kernels
 from amhe_cli.engine.gpu.blueprint import Blueprint, Room
 from amhe_cli.engine.gpu.job import Job
@@ -92,10 +92,22 @@ def load_together(device: Any, launches: Callable[[], object], compilers: int) -
             )
         load(module, device, block_dim)
 
-    # not at a lower priority than rollouts beside them: they would wait for a core with Python's lock in hand
-    with ThreadPoolExecutor(compilers) as threads:
-        for module, block_dim in needed:
-            threads.submit(load_or_compile, module, block_dim)
+    left = iter(list(needed))
+
+    def load_some() -> None:
+        for module, block_dim in left:
+            try:
+                load_or_compile(module, block_dim)
+            except Exception as error:
+                logger.debug("%s: %s", module.name, error)
+
+    # not at a lower priority than rollouts: they would wait for a core with Python's lock in hand;
+    # and no executor's, for which the end of the process would wait until all are compiled
+    threads = [Thread(target=load_some, daemon=True, name=OPENING) for _ in range(compilers)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
 
 
 def _compiled(module: Any, block_dim: int) -> bool:
