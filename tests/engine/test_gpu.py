@@ -180,17 +180,15 @@ def test_arrays_of_a_card_are_made_on_that_card() -> None:
 
 
 def test_several_cards_share_a_prediction(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One thread at a time uses each: what others launch there would be captured in its graphs."""
     monkeypatch.setattr(engine_module, "LEAST", 4)
-    """Each is used by one thread at a time: what another one launches there would be captured in its graph."""
-    running, run = Counter(), Worlds.run
+    running, run = Counter[str](), Worlds.run
 
     def alone(self: Worlds, job: Any) -> Any:
-        running[self._device] += 1
+        running[str(self._device)] += 1
         time.sleep(0.02)
-        assert running[self._device] == 1
-        done = run(self, job)
-        running[self._device] -= 1
-        return done
+        assert running.pop(str(self._device)) == 1
+        return run(self, job)
 
     monkeypatch.setattr(Worlds, "run", alone)
     arguments = call(PENDULUM)
