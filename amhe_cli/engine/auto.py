@@ -125,6 +125,11 @@ class Opening:
         self.refused = False
 
     @property
+    def begun(self) -> bool:
+        """Whether the cards open, or are open."""
+        return self._cards is not None
+
+    @property
     def done(self) -> bool:
         """Whether the cards are open; kernels that were never compiled may take a minute."""
         return self._cards is not None and self._cards.done()
@@ -163,8 +168,6 @@ class AutoEngine:
         threads: Threads of the processor's engine.
     """
 
-    precision = float(np.finfo(np.float32).eps)
-
     def __init__(
         self,
         cpu: CpuEngine,
@@ -175,6 +178,12 @@ class AutoEngine:
     ) -> None:
         self._cpu, self._opening, self._open, self._threads = cpu, opening, cards, threads
         self._line, self._cards = step_cost(model), None
+
+    @property
+    def precision(self) -> float:
+        """See `Engine.precision`: that of the processor until the cards begin to open."""
+        coarse = self._opening.begun and not self._opening.refused
+        return float(np.finfo(np.float32).eps) if coarse else self._cpu.precision
 
     @property
     def device_bytes(self) -> int:

@@ -26,6 +26,7 @@ from amhe_cli.engine.auto import (
     step_cost,
 )
 from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.engine.gpu.engine import GpuEngine
 from amhe_cli.engine.open import open_engine
 from tests.engine.test_contract import CUBE, PENDULUM, clips, some
 
@@ -109,8 +110,10 @@ def test_small_calls_go_to_the_processor_and_large_ones_to_the_cards(cards, capl
     engine.rollout(*alike(few))
     engine.rollout(*some(few + 10))  # most of them would wait for the longest
     assert not cards, "the libraries of the cards are not even loaded"
+    assert engine.precision == CpuEngine.precision
     engine.rollout(*alike(few + 1))
     assert cards[0].calls == [few + 1]
+    assert engine.precision == GpuEngine.precision
     starts, wanted = clips(PENDULUM, 10)
     theta = some(few // 5)[0]
     done, alone = (each.predict(theta, starts, None, wanted) for each in (engine, open_engine(PENDULUM)))
@@ -185,6 +188,7 @@ import threading
 import numpy as np
 from amhe_cli.engine import auto, open as opening
 from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.engine.gpu.engine import GpuEngine
 from amhe_cli.system.system import System
 
 auto.START = auto.OPENS = 0.0

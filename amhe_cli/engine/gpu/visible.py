@@ -1,7 +1,6 @@
 """The graphics cards of this computer, seen without the libraries that compute on them."""
 
 import ctypes
-import os
 import sys
 from pathlib import Path
 
@@ -25,8 +24,7 @@ def look_for_cards() -> None:
     Raises:
         SimulationError: There is none.
     """
-    hidden = os.environ.get("CUDA_VISIBLE_DEVICES", "0") in ("", "-1")
-    if hidden or _driver() is None or not any(Path("/dev").glob("nvidia[0-9]*")):
+    if _driver() is None or not any(Path("/dev").glob("nvidia[0-9]*")):
         visible_cards()
 
 
