@@ -7,10 +7,16 @@ many steps of that rollout are done, is known on the device, so that the launche
 
 from __future__ import annotations
 
+import sys
+
 import mujoco_warp as mjw
 import warp as wp
 
 from amhe_cli.system.parameters.gear_friction import AHEAD
+
+# nobody takes derivatives of these kernels, which would compile for as long again
+for _module in (sys.modules[__name__], sys.modules[mjw.set_const.__module__]):
+    wp.set_module_options({"enable_backward": False}, _module)
 
 #: MuJoCo's own bound (mjMAXVAL): a state beyond it has diverged.
 LARGEST = wp.constant(1.0e10)
