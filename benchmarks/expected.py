@@ -3,6 +3,7 @@
     python benchmarks/expected.py [--seeds 20] [--problems gain,limit] [--jobs 2] [--part 1/3] [--add FILE...]
 
 Each fit is printed as it ends. Of many parts, each run by itself, `--add` takes what their runs have printed.
+`--fits` takes fits that a run has printed, and looks anew at their logs.
 
 Of each parameter's sd, the expected one should be within a factor of 1.5 of the reported one in 90 %, and the
 expected verdict right in 85 %. An sd counts on its parameter's own scale, in sd of its prior.
@@ -11,9 +12,12 @@ expected verdict right in 85 %. An sd counts on its parameter's own scale, in sd
 from __future__ import annotations
 
 import argparse
+import functools
+import json
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,25 +33,37 @@ FACTOR = 1.5
 CLAIMED = ("identified", "conditional")
 
 
-def trial(number: int) -> dict[str, Any]:
-    """Look at one log, and then fit it."""
+def trial(number: int, fits: Mapping[int, dict[str, Any]]) -> dict[str, Any]:
+    """Look at one log, and then fit it, unless it is among some fits."""
     logging.disable(logging.WARNING)
     name, kind, seed, made = case_of(number)
     logs = [made.logs] if isinstance(made.logs, amhe.Log) else list(made.logs)
     began = time.process_time()
     hope = {p.name: p for p in expected(made.system, logs, seed=seed).parameters}
     looked = time.process_time() - began
-    result = amhe.identify(made.system, logs, seed=seed, threads=1)
-    return {
+    fit = fits.get(number) or fitted(made.system, logs, seed)
+    names, left, said, budgets = fit["names"], fit["left"], fit["verdicts"], fit["budgets"]
+    return fit | {
         "problem": name,
         "kind": kind,
         "look": looked,
-        "fit": time.process_time() - began - looked,
-        "ratios": [(1.0 - hope[p.name].shrinkage) / (1.0 - p.shrinkage) for p in result.parameters.values()],
-        "left": [1.0 - p.shrinkage for p in result.parameters.values()],
-        "verdicts": [(hope[p.name].verdict, p.verdict) for p in result.parameters.values()],
+        "ratios": [(1.0 - hope[p].shrinkage) / each for p, each in zip(names, left, strict=True)],
+        "verdicts": [(hope[p].verdict, each) for p, (_, each) in zip(names, said, strict=True)],
+        "budgets": [(hope[p].budget, each) for p, (_, each) in zip(names, budgets, strict=True)],
+    }
+
+
+def fitted(system: amhe.System, logs: Sequence[amhe.Log], seed: int) -> dict[str, Any]:
+    """What an identification reports; `left`: the sd of each parameter, in sd of its prior."""
+    began = time.process_time()
+    result = amhe.identify(system, logs, seed=seed, threads=1)
+    found = result.parameters.values()
+    return {
+        "fit": time.process_time() - began,
         "names": list(result.parameters),
-        "budgets": [(hope[p.name].budget, p.budget) for p in result.parameters.values()],
+        "left": [1.0 - p.shrinkage for p in found],
+        "verdicts": [("", p.verdict) for p in found],
+        "budgets": [("", p.budget) for p in found],
         "misfit": max(result.found.noise_scale.values(), default=0.0),
     }
 
@@ -74,10 +90,14 @@ def main() -> None:
     parser.add_argument("--problems", default=",".join(NAMES), help="names, with commas between")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     add_parts(parser)
+    parser.add_argument("--fits", type=Path, help="what a run has printed")
     given = parser.parse_args()
     problems = given.problems.split(",")
     numbers = [place(name, kind, seed) for seed in given.seeds for name in problems for kind in KINDS]
-    done = in_parts("expected", trial, numbers, given)
+    lines = given.fits.read_text(encoding="utf-8").splitlines() if given.fits else ()
+    fits = {one["seed"]: one for one in (json.loads(line) for line in lines if line.startswith('{"seed"'))}
+    numbers = [number for number in numbers if not fits or number in fits]
+    done = in_parts("looks" if fits else "expected", functools.partial(trial, fits=fits), numbers, given)
     problems = [name for name in problems if any(t["problem"] == name for t in done)]
     lines = [row(name, "", [t for t in done if t["problem"] == name]) for name in problems]
     lines += [row("all", kind, [t for t in done if t["kind"] == kind]) for kind in KINDS]

@@ -91,7 +91,7 @@ def expected(system: System, logs: Sequence[Log], *, threads: int = 1, seed: int
     few = problem.clips
     share = (1.0 - settings.held_out) * min(len(clips), settings.most) / len(few)
     fit = _as_if(fit, max(share, 1.0 / len(few)))
-    term, _ = assumed(fit)
+    term, _ = assumed(fit, rough=True)
     space = system.space
     found = [terms.noise(fit), terms.prior(fit), terms.repeats(fit), terms.declared(fit), term]
     ledger = Ledger(tuple(terms.inherited(fit, found)))
@@ -123,17 +123,21 @@ def _near(problem: Problem) -> tuple[FinalFit, int]:
     slopes of the last one hold where it ends, too.
     """
     few = replace(problem, only=tuple(evenly(problem.clips, FEWEST // 2)))
-    # where nothing touches, short steps to one side suffice to come near: half of the rollouts
-    state = replace(search.restart(few, np.zeros(len(problem.system.space))), straight=not problem.touches)
+    state = search.restart(few, np.zeros(len(problem.system.space)))
     part, before, near = few, np.inf, not problem.active.any()
     while not near:
+        # where nothing touches, short steps to one side suffice to come near: half of the rollouts
+        state = replace(state, straight=state.straight or (part is few and not problem.touches))
         slopes = search.slopes_at(part, state)
         info = information(slopes)
-        taken = search.gauss_newton(part, state, slopes, info)
+        taken, noise = search.gauss_newton(part, state, slopes, info), state.scale
         state = search.stepped(part, state, slopes, info, taken)
         most = search.ROUGHLY if part is few else ITERATIONS
-        near, before = state.done or state.number >= most or taken.cost > NEAR * before, taken.cost
-        if part is few and (near or (taken.predicted and not problem.touches)):
+        near = state.done or state.number >= most or taken.cost > NEAR * before
+        # where the cost falls as the slopes predict they hold where it ends, unless misfit passed for noise
+        alike = part is few or not (search.quieter(noise, state.scale) or search.quieter(state.scale, noise))
+        near, before = near or (taken.predicted and alike and not problem.touches), taken.cost
+        if part is few and near:
             part, before, near = problem, np.inf, False
             state = replace(state, stage="polish", first=None)
     if problem.touches or not problem.active.any():
