@@ -31,7 +31,7 @@ from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.core.statistics import correlation
 from amhe_cli.core.yaml_file import merged
 from amhe_cli.estimation.conclude import Search
-from amhe_cli.estimation.core.result import Against, Identification, Iteration
+from amhe_cli.estimation.core.result import Against, Identification, Iteration, ParameterResult
 from amhe_cli.estimation.identification import IdentifyOptions, concluded, searched_for
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.init.folder import Proposal
@@ -99,6 +99,12 @@ class Audit:
     found: Identification
     claims: tuple[Claim, ...]
     proposal: Proposal
+
+    @property
+    def beside(self) -> list[ParameterResult]:
+        """What was identified beside the file's numbers: zeros of sensors, delays, what a system adds."""
+        own = {claim.parameter for claim in self.claims}
+        return [one for one in self.found.parameters if one.name not in own]
 
     def with_only(self, names: Collection[str]) -> System:
         """The file's model with some of its numbers as parameters, and all others as they are in the file."""

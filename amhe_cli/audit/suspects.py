@@ -21,6 +21,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.estimation.conclude import Search
 from amhe_cli.estimation.core.information import clip_objectives
+from amhe_cli.estimation.offline.clips import places
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.uncertainty.fit import FinalFit, scored
@@ -118,7 +119,7 @@ def _misfit(fit: FinalFit, of: Search, few: Problem | None) -> float:
     problem, own = few or fit.problem, of.fit
     space, weight = problem.system.space, np.ones(len(problem.clips)) if few else fit.weight
     cost, z = problem.cost(problem.clips, fit.finding.scale), space.z_of(own.space.theta_of(own.z))
-    if _places(own.problem) == _places(problem):
+    if places(own.problem.clips) == places(problem.clips):
         first = own.information.first(np.zeros((1, len(z))))
         residuals = cost.residuals(z[None], first if first.shape[2] else None)
         each = clip_objectives(cost, residuals, first, fit.times)[0]
@@ -126,11 +127,6 @@ def _misfit(fit: FinalFit, of: Search, few: Problem | None) -> float:
         shape = (fit.space.prior_sd / space.prior_sd)[:, None] * fit.shape
         each = scored(problem, cost, z, shape).misfit(fit.times)
     return float(np.where(weight > 0.0, each, 0.0) @ weight)
-
-
-def _places(problem: Problem) -> list[tuple[str, int, int]]:
-    """Log, start and length of each clip: each search cuts clips of its own from the same logs."""
-    return [(clip.log.source, clip.start, clip.length) for clip in problem.clips]
 
 
 def _ended(search: Search) -> Search:

@@ -159,7 +159,8 @@ def _logs(session: Session, model: Path, given: Given) -> None:
 
 
 def _print(session: Session, lines: Any, record: dict[str, object], found: Audit | None = None) -> None:
-    from amhe_cli.report.audit import STYLES, audit_record, audit_table, audit_text
+    from amhe_cli.report.audit import STYLES, audit_record, audit_table, audit_text, beside_table
+    from amhe_cli.report.identification import STYLES as KNOWN
     from amhe_cli.report.missing import print_missing
     from amhe_cli.report.tables import rich_table
 
@@ -168,6 +169,9 @@ def _print(session: Session, lines: Any, record: dict[str, object], found: Audit
     console, told = session.console(), [one for one in lines if one.verdict != "cannot tell"]
     if told:
         console.print(rich_table(audit_table(told), STYLES))
+        console.print()
+    if beside := [one for one in found.beside if one.verdict != "prior"] if found else []:
+        console.print(rich_table(beside_table(beside), KNOWN))
         console.print()
     if found and found.found.missing:
         print_missing(found.found.missing, console)

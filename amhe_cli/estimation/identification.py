@@ -130,8 +130,10 @@ def searched_for(
     limit = math.inf if quick and options.max_time is None else options.max_time
     watch = Watch(on_iteration, limit, PARTS)
     problem, validation = _pose(system, training, held_out, options)
+    if near is not None:
+        problem = replace(problem, like=near.problem)
     if clips is not None:
-        problem = replace(problem, only=tuple(evenly(problem.clips, clips)))
+        problem = replace(problem, only=tuple(evenly(problem.usable, clips)))
         validation = evenly(validation, clips)
     kept = Checkpoint(options.checkpoint, problem, options.method)
     kept.load()  # one of another problem is refused before any work
@@ -200,9 +202,9 @@ def _pose(
     problem = Problem(system, pool, engine, options.seed, threads=options.threads, share=options.share)
     windows = ClipPool(system, held, clips).cut(validation_length(clips), clips.held_out_first_only)
     windows = evenly(windows, clips.most)
-    if not (held_out or (windows and problem.clips)) and too_few(training, clips):
+    if not (held_out or (windows and problem.usable)) and too_few(training, clips):
         problem, held, windows = _of_all(problem, training), [], []
-    if not problem.clips:
+    if not problem.usable:
         raise EstimationError(_no_clips(problem.pool))
     if held and not windows:
         logger.warning("the held-out part of the logs has no usable clip: nothing validates the result")

@@ -15,7 +15,7 @@ from amhe_cli.audit.audit import VERDICTS, Audit, Line, unexplained
 from amhe_cli.audit.files import FileDifference, FilesCompared
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.files import json_text, plain
-from amhe_cli.estimation.core.result import Identification
+from amhe_cli.estimation.core.result import Identification, ParameterResult
 from amhe_cli.report import numbers
 from amhe_cli.report.folder import results
 from amhe_cli.report.identification import held_out_line
@@ -50,6 +50,22 @@ def audit_table(lines: Sequence[Line]) -> Table:
         )  # fmt: skip
     head = ("part", "number", "verdict", "in the file", "in the log", "unit", "of the forces")
     return Table(head, ("", "", VERDICT, NUMBER, STRONG, "", NUMBER), rows, [line.cure for line in lines])
+
+
+def beside_table(found: Sequence[ParameterResult]) -> Table:
+    """What was identified beside the file's numbers."""
+    rows = [
+        (
+            one.name, one.verdict, numbers.with_sd(one.prior, one.prior_sd),
+            numbers.with_sd(one.estimate, one.sd), numbers.unit_of(one.unit),
+        )
+        for one in found
+    ]  # fmt: skip
+    return Table(
+        ("beside the file", "verdict", "assumed", "in the log", "unit"),
+        ("", VERDICT, NUMBER, STRONG, ""),
+        rows,
+    )
 
 
 def audit_text(lines: Sequence[Line], found: Audit | None, out: object = None) -> Iterator[str]:
@@ -95,7 +111,19 @@ def audit_record(lines: Sequence[Line], found: Audit | None) -> dict[str, Any]:
     if found is None:
         return plain(listed)
     held_out, missing = found.found.held_out, missing_record(found.found.missing)
-    about = {"match": found.system.match, "held_out": held_out and asdict(held_out), "missing": missing}
+    beside = [
+        {
+            name: getattr(one, name)
+            for name in ("name", "unit", "verdict", "prior", "prior_sd", "estimate", "sd")
+        }
+        for one in found.beside
+    ]
+    about = {
+        "match": found.system.match,
+        "beside": beside,
+        "held_out": held_out and asdict(held_out),
+        "missing": missing,
+    }
     about |= {"interrupted": found.found.interrupted, "settled": found.found.settled}
     return plain(listed | about)
 
@@ -184,6 +212,14 @@ def _page(found: Audit, model: Path, record: Mapping[str, Any], origin: Mapping[
             table=audit_table([line for line in found.lines if line not in untold]),
         ),
         *[rest] * bool(untold),
+        *[
+            Section(
+                "Estimated beside them",
+                text="What no file says and the motion depends on, such as zeros of encoders and a delay.",
+                table=beside_table(found.beside),
+            )
+        ]
+        * bool(found.beside),
         *([missing_section(found.found.missing)] if found.found.missing else []),
         *([overlay_section(found.found.fits)] if found.found.fits else []),
     ]

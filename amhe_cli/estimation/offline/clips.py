@@ -71,6 +71,11 @@ def evenly(clips: Sequence[Window], most: int) -> list[Window]:
     return [clips[i] for i in rows]
 
 
+def places(clips: Sequence[Window]) -> list[tuple[str, int, int]]:
+    """Log, start and length of each clip: each search cuts clips of its own from the same logs."""
+    return [(clip.log.source, clip.start, clip.length) for clip in clips]
+
+
 def of_each_kind(clips: Sequence[Window], few: int) -> list[Window]:
     """The first few clips of logs that measured the same, and on which parameters have the same values."""
     kinds: dict[object, list[Window]] = {}

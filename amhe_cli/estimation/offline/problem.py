@@ -25,7 +25,7 @@ from amhe_cli.estimation.core.linearise import (
     linearise,
     sampling_width,
 )
-from amhe_cli.estimation.offline.clips import ClipPool, evenly, of_each_kind
+from amhe_cli.estimation.offline.clips import ClipPool, evenly, of_each_kind, places
 from amhe_cli.matching.cost import MatchingCost, Residuals
 from amhe_cli.matching.starts import first_index
 from amhe_cli.system.parameters.contacts import geom_name, needed_contacts
@@ -70,6 +70,7 @@ class Problem:
         whole: The problem of which this is a part: what moves what is the same.
         threads: Number of CPU threads, for what a coarse engine cannot decide.
         share: How often what the logs say counts: 0.5 where the prior has a half of it already.
+        like: A problem of the same unknowns under other priors; on the same clips it knows what moves what.
     """
 
     system: System
@@ -80,6 +81,7 @@ class Problem:
     whole: Problem | None = None
     threads: int = 1
     share: float = 1.0
+    like: Problem | None = None
 
     def part(self, clips: IntArray) -> Problem:
         """The same problem on some of its clips."""
@@ -107,7 +109,7 @@ class Problem:
         return np.random.default_rng([self.seed, *place])
 
     @cached_property
-    def _all_clips(self) -> Sequence[Window]:
+    def usable(self) -> Sequence[Window]:
         """Every usable clip; cut only once, since the pool counts what it drops."""
         low, high = self.settings.clips.length
         return self.only or self.pool.cut(0.5 * (low + high))
@@ -122,9 +124,9 @@ class Problem:
         if self.only:
             return self.only
         most = self.settings.clips.most
-        if len(self._all_clips) < WORTH * most or self.touches:
-            return tuple(evenly(self._all_clips, most))
-        clips = evenly(self._all_clips, LOOKED_AT * most)
+        if len(self.usable) < WORTH * most or self.touches:
+            return tuple(evenly(self.usable, most))
+        clips = evenly(self.usable, LOOKED_AT * most)
         return tuple(clips[i] for i in by_leverage(self._information(clips), most))
 
     def _information(self, clips: Sequence[Window]) -> FloatArray:
@@ -147,7 +149,7 @@ class Problem:
     @property
     def thinned(self) -> int:
         """Usable clips that are left out because there are many."""
-        return len(self._all_clips) - len(self.clips)
+        return len(self.usable) - len(self.clips)
 
     @cached_property
     def clip_count(self) -> int:
@@ -229,8 +231,17 @@ class Problem:
     @cached_property
     def _some_clips(self) -> Sequence[Window]:
         """Clips that show what moves what: some from everywhere, and some of each kind of log."""
-        clips = self._all_clips
+        clips = self.usable
         return list(dict.fromkeys([*evenly(clips, 8), *of_each_kind(clips, FEW)]))
+
+    @property
+    def _like(self) -> Problem | None:
+        """The problem like this one, if it has been looked at on the same clips about the same values."""
+        if (like := self.like) is None or "_moved" not in like.__dict__:
+            return None
+        one, other = self.system.space, like.system.space
+        same = one.names == other.names and np.array_equal(one.nominal, other.nominal)
+        return like if same and places(self._some_clips) == places(like._some_clips) else None
 
     @cached_property
     def _moved(self) -> tuple[dict[str, BoolArray], BoolArray]:
@@ -238,14 +249,24 @@ class Problem:
 
         The other side is tried of those alone that the first side leaves without an effect.
         What does not move all is looked at away from the prior's mean, too: a joint does not feel a mass
-        whose centre lies on its axis, until the centre moves.
+        whose centre lies on its axis, until the centre moves. What has the prior that it has in a problem
+        like this one moves what it moves there.
         """
         d, cost = len(self.system.space), self.cost(self._some_clips)
         if self.engine.precision > COARSE:
             cost = cost.upon(open_engine(self.system, threads=self.threads))
         moved = {o.channel.key: np.zeros((d, o.width), dtype=bool) for o in cost.clips.observed}
         diverged, left = np.zeros(d, dtype=bool), np.arange(d)
+        if (like := self._like) is not None:
+            moved, diverged = (
+                {key: np.array(columns) for key, columns in like._moved[0].items()},
+                np.array(like._moved[1]),
+            )
+            left = np.flatnonzero(like.system.space.prior_sd != self.system.space.prior_sd)
+        fresh = left
         for side in (0.5, -0.5):
+            if not left.size:
+                break
             steps = side * np.concatenate((np.zeros((1, d)), np.eye(d)[left]))
             residuals = cost.residuals(self.system.space.clip(steps))
             for key, columns in _moved_columns(cost, residuals).items():
@@ -253,9 +274,7 @@ class Problem:
             diverged[left] = ~residuals.completed[1:].all(axis=1)
             felt = np.any([columns[left].any(axis=1) for columns in moved.values()], axis=0)
             left = left[~(felt | diverged[left])]
-            if not left.size:
-                break
-        gaps = np.flatnonzero(~np.all([columns.all(axis=1) for columns in moved.values()], axis=0))
+        gaps = fresh[~np.all([columns[fresh].all(axis=1) for columns in moved.values()], axis=0)]
         if gaps.size and not (self.touches or diverged.any()):
             place = self.rng(12).uniform(-1.0, 1.0, d)
             steps = np.concatenate((np.zeros((1, d)), 0.5 * np.eye(d)[gaps]))
@@ -281,7 +300,7 @@ class Problem:
         moved, diverged = self._moved
         if self.touches or diverged.any():
             return None
-        cost = self.cost(of_each_kind(self._all_clips, FEW))
+        cost = self.cost(of_each_kind(self.usable, FEW))
         z = np.zeros((cost.nx + 1, len(self.system.space)))
         errors = np.concatenate((np.zeros((1, cost.nx)), np.eye(cost.nx)))
         first = np.repeat(errors[:, None], len(cost.clips.windows), axis=1)
@@ -369,6 +388,8 @@ class Problem:
             return self.whole.touches
         if self.system.match == "effort":
             return False  # nothing is rolled out
+        if self._like is not None:
+            return self._like.touches
         return touching(self.system.model, self._states(self.cost(self._some_clips), self._off_grid)[0])
 
     def _states(self, cost: MatchingCost, z: FloatArray) -> tuple[FloatArray, FloatArray]:
