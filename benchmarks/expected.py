@@ -3,7 +3,7 @@
     python benchmarks/expected.py [--seeds 20] [--problems gain,limit] [--jobs 2] [--part 1/3] [--add FILE...]
 
 Each fit is printed as it ends. Of many parts, each run by itself, `--add` takes what their runs have printed.
-`--fits` takes fits that a run has printed, and looks anew at their logs.
+`--fits` takes fits that a run has printed: their logs are looked at anew, and not fitted again.
 
 Of each parameter's sd, the expected one should be within a factor of 1.5 of the reported one in 90 %, and the
 expected verdict right in 85 %. An sd counts on its parameter's own scale, in sd of its prior.
@@ -96,7 +96,6 @@ def main() -> None:
     numbers = [place(name, kind, seed) for seed in given.seeds for name in problems for kind in KINDS]
     lines = given.fits.read_text(encoding="utf-8").splitlines() if given.fits else ()
     fits = {one["seed"]: one for one in (json.loads(line) for line in lines if line.startswith('{"seed"'))}
-    numbers = [number for number in numbers if not fits or number in fits]
     done = in_parts("looks" if fits else "expected", functools.partial(trial, fits=fits), numbers, given)
     problems = [name for name in problems if any(t["problem"] == name for t in done)]
     lines = [row(name, "", [t for t in done if t["problem"] == name]) for name in problems]

@@ -10,7 +10,17 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.audit.claims import Claim, Group, claims_of, doubts_of
-from amhe_cli.audit.judge import Findings, Said, averaged, chances, contradicted, judged, said, wrong_sheets
+from amhe_cli.audit.judge import (
+    ODDS,
+    Findings,
+    Said,
+    averaged,
+    chances,
+    contradicted,
+    judged,
+    said,
+    wrong_sheets,
+)
 from amhe_cli.audit.suspects import (
     HOPELESS,
     Explanation,
@@ -44,6 +54,8 @@ _CLIPS = ((16, 0.3), (12, None))
 _LOOK = 4
 #: The same where what is slow stands still in the short ones.
 _SLOW = 5
+#: What is far off is found with a step [posterior sd] that is worth less than a sheet's odds.
+_WORTH = float(np.sqrt(2.0 * ODDS))
 #: Correlation from which two numbers are known only together.
 _TOGETHER = 0.7
 
@@ -142,22 +154,25 @@ def audit(
     doubts, logs = doubts_of(proposal), tuple[Log, ...]()
 
     def searched(
-        clips: int | None, length: float | None, wide: Collection[Group], near: Search | None
+        clips: int | None, length: float | None, rough: bool, wide: Collection[Group], near: Search | None
     ) -> Search:
         nonlocal logs
         guesses = [claim.guess(claim.group not in wide) for claim in claims]
         short = {"clips": {"length": [length, length]}} if length else {}
         system = replace(proposal, parameters=[*guesses, *doubts]).system(name, merged(settings, short))
         logs = logs or tuple(read(system))
-        return searched_for(system, logs, None, options, progress, quick=True, near=near, clips=clips)
+        enough = _WORTH if rough else None
+        return searched_for(
+            system, logs, None, options, progress, quick=True, near=near, clips=clips, enough=enough
+        )
 
     # rollouts of all clips take their time, and data sheets are held against what some of them say
-    search, wrong, again = None, frozenset[Group](), partial(searched, None, None)
+    search, wrong, again = None, frozenset[Group](), partial(searched, None, None, False)
     seen = list[Explanation]()
     for clips, length in ((None, None),) if proposal.match == "effort" else _CLIPS:
         if search is not None and search.watch.interrupted:
             break
-        again, seen = partial(searched, clips, length), []
+        again, seen = partial(searched, clips, length, length is not None), []
         try:
             search, wrong = without_suspects(again, claims, wrong, search, seen=seen)
         except KeyboardInterrupt:
@@ -167,10 +182,10 @@ def audit(
         except EstimationError:
             if length is None:
                 raise
-            again, seen = partial(searched, _SLOW, None), []
+            again, seen = partial(searched, _SLOW, None, True), []
             search, wrong = without_suspects(again, claims, wrong, search, seen=seen)
     assert search is not None
-    look = again if proposal.match == "effort" else partial(searched, _LOOK, None)
+    look = again if proposal.match == "effort" else partial(searched, _LOOK, None, False)
     found, judgement, at = _concluded(again, look, Explanation(search, wrong, claims), seen)
     system = at.search.problem.system
     lines = _lines(system, found, claims, judgement, logs)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -15,6 +16,8 @@ from amhe_cli.cli.kinds import LOG, MODEL, NewFile, episodes
 from amhe_cli.cli.session import LOSSY, Session
 
 if TYPE_CHECKING:
+    from mujoco import MjModel, MjSpec
+
     from amhe_cli.check.findings import Finding
     from amhe_cli.cli.inputs import Inputs
     from amhe_cli.core.log import Log
@@ -49,14 +52,14 @@ def check(session: Session, given: Given) -> int | None:
     from amhe_cli.core.files import write_whole
     from amhe_cli.estimation.design.expected import expected
     from amhe_cli.report.check import check_page, expected_record, print_expected, print_findings
-    from amhe_cli.system.model.files import compiled, read_spec
+    from amhe_cli.system.model.files import read_spec
 
     if given.require and not given.logs:
         raise click.UsageError("--require is about what a log will tell: give a LOG")
     given.refuse_existing(given.page)
     path = model_file(given.model)
     session.listed = of_model = []
-    made = compiled(read_spec(path, urdf_options(path, not given.no_meshes)), path.name)
+    made = _compiled(path, read_spec(path, urdf_options(path, not given.no_meshes)))
     session.listed = None
     found, moved, hope, missed = [*check_model(made), *_read_with(path, of_model)], (), None, []
     if given.logs:
@@ -88,6 +91,28 @@ def check(session: Session, given: Given) -> int | None:
         for text in missed:
             console.print(f"not reached: {text}", style="yellow")
     return LOSSY if missed else None
+
+
+def _compiled(path: Path, spec: MjSpec) -> MjModel:
+    """The model; with the nearest possible inertia where MuJoCo takes none that no body has."""
+    import logging
+
+    from amhe_cli.core.errors import ConfigError
+    from amhe_cli.system.model.files import compiled
+
+    try:
+        return compiled(spec, path.name)
+    except ConfigError as error:
+        if "balanceinertia" not in str(error):
+            raise
+        where = re.search(r"Element name '([^']*)'", str(error))
+    logging.getLogger(__name__).warning(
+        "%s: no body has the inertia of %s, which MuJoCo does not take; the nearest possible one is used",
+        path,
+        where[1] if where else "a link",
+    )
+    spec.compiler.balanceinertia = True
+    return compiled(spec, path.name)
 
 
 def _read_with(path: Path, texts: Sequence[str]) -> Iterator[Finding]:

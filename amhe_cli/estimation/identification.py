@@ -111,6 +111,7 @@ def searched_for(
     quick: bool = False,
     near: Search | None = None,
     clips: int | None = None,
+    enough: float | None = None,
 ) -> Search:
     """The search of `identify`, whose arguments it takes, without the conclusion.
 
@@ -118,7 +119,7 @@ def searched_for(
 
     `quick`: one of many: do not say how long it takes, nor which parameters the logs do not depend on.
     `near`: begin where a search for the same parameters under other priors has ended, and not at the prior's
-    mean. `clips`: fit, and hold out, only so many.
+    mean. `clips`: fit, and hold out, only so many. `enough`: end with a step of so many posterior sd.
     """
     if options.method not in METHODS:
         raise ConfigError(f"`method`: {one_of('method', options.method, METHODS)}")
@@ -130,8 +131,7 @@ def searched_for(
     limit = math.inf if quick and options.max_time is None else options.max_time
     watch = Watch(on_iteration, limit, PARTS)
     problem, validation = _pose(system, training, held_out, options)
-    if near is not None:
-        problem = replace(problem, like=near.problem)
+    problem = replace(problem, enough=enough, like=near and near.problem)
     if clips is not None:
         problem = replace(problem, only=tuple(evenly(problem.usable, clips)))
         validation = evenly(validation, clips)

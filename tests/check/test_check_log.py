@@ -301,6 +301,17 @@ def test_the_makers_gains_of_a_real_arm_are_doubted(capsys: pytest.CaptureFixtur
     assert "0.19 degrees of error already take all of its force" in record["findings"][0]["what"]
 
 
+def test_an_inertia_that_mujoco_refuses_is_a_finding(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    inertial = '<inertial pos="0 0 0" mass="1" diaginertia="1e-3 1e-3 9e-3"/>'
+    body = f'<body name="arm">{inertial}<joint damping=".1" armature=".1" frictionloss=".1"/></body>'
+    (tmp_path / "arm.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    assert run(["check", str(tmp_path / "arm.xml"), "--json"]) == 0
+    (first,) = json.loads(capsys.readouterr().out)["findings"]
+    assert first["what"].startswith("no body has the inertia of arm")
+
+
 def test_a_urdf_is_checked_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -66,6 +66,9 @@ def test_spoilt_numbers_are_contradicted_and_right_ones_are_not(audited) -> None
     assert verdicts["lower_mass"] == verdicts["shoulder_damping"] == "agrees"
     assert verdicts["upper_center_of_mass_y"] == "cannot tell"  # along the axis
     assert [line["cure"] for line in record["numbers"] if line["verdict"] == "cannot tell"].count("") == 0
+    zeros = {one["name"]: one for one in record["beside"]}
+    assert set(zeros) == {"shoulder_torque_offset", "elbow_torque_offset"}
+    assert all(abs(one["estimate"]) < 3.0 * one["sd"] < one["prior_sd"] for one in zeros.values())
 
 
 def test_the_written_file_has_the_numbers_of_the_log(audited) -> None:

@@ -235,6 +235,15 @@ def test_properties_are_those_of_xacro() -> None:
     assert text.count("<xacro:property") == len(system.space)
 
 
+def test_properties_of_an_inertia_are_those_of_its_body(with_target: Write) -> None:
+    system = System.load(with_target("{body: hand, set: pseudo_inertia}"))
+    text = xacro_properties(system, system.space.nominal)
+    values = dict(re.findall(r'property name="([^"]*)" value="([^"]*)"', text))
+    (mass,) = (float(value) for name, value in values.items() if name.endswith("_mass"))
+    assert mass == pytest.approx(system.model.body("hand").mass[0], rel=1e-5)
+    assert len(values) == 10 and all(name.isidentifier() for name in values)
+
+
 def test_a_flange_that_is_none_is_refused() -> None:
     with pytest.raises(ConfigError, match="`flange`: .*flang"):
         load_of(mujoco.MjModel.from_xml_string(ARM), "flang")

@@ -36,6 +36,8 @@ FEWEST, STEPS = 6, 200_000
 #: Iterations of the search that lead near the estimate, at most; it is near where an iteration leaves more
 #: than this share of the cost of the one before.
 ITERATIONS, NEAR = 6, 0.9
+#: Or where a step [posterior sd] is shorter than this, and its slopes hold where it ends.
+CLOSE = 1.0
 #: Linearisations of all clips that an identification takes, half of them its search: those of the examples.
 _LINEARISATIONS = 17.0
 
@@ -91,7 +93,7 @@ def expected(system: System, logs: Sequence[Log], *, threads: int = 1, seed: int
     few = problem.clips
     share = (1.0 - settings.held_out) * min(len(clips), settings.most) / len(few)
     fit = _as_if(fit, max(share, 1.0 / len(few)))
-    term, _ = assumed(fit, rough=True)
+    term, _ = assumed(fit)
     space = system.space
     found = [terms.noise(fit), terms.prior(fit), terms.repeats(fit), terms.declared(fit), term]
     ledger = Ledger(tuple(terms.inherited(fit, found)))
@@ -130,13 +132,13 @@ def _near(problem: Problem) -> tuple[FinalFit, int]:
         state = replace(state, straight=state.straight or (part is few and not problem.touches))
         slopes = search.slopes_at(part, state)
         info = information(slopes)
-        taken, noise = search.gauss_newton(part, state, slopes, info), state.scale
+        taken = search.gauss_newton(part, state, slopes, info)
         state = search.stepped(part, state, slopes, info, taken)
         most = search.ROUGHLY if part is few else ITERATIONS
         near = state.done or state.number >= most or taken.cost > NEAR * before
-        # where the cost falls as the slopes predict they hold where it ends, unless misfit passed for noise
-        alike = part is few or not (search.quieter(noise, state.scale) or search.quieter(state.scale, noise))
-        near, before = near or (taken.predicted and alike and not problem.touches), taken.cost
+        # where the cost falls as the slopes predict they hold where it ends, if that is not far
+        held = taken.predicted and (part is few or taken.moved < CLOSE) and not problem.touches
+        near, before = near or held, taken.cost
         if part is few and near:
             part, before, near = problem, np.inf, False
             state = replace(state, stage="polish", first=None)

@@ -70,6 +70,7 @@ class Problem:
         whole: The problem of which this is a part: what moves what is the same.
         threads: Number of CPU threads, for what a coarse engine cannot decide.
         share: How often what the logs say counts: 0.5 where the prior has a half of it already.
+        enough: A search may end with a step of so many posterior sd; None: when it has settled.
         like: A problem of the same unknowns under other priors; on the same clips it knows what moves what.
     """
 
@@ -81,6 +82,7 @@ class Problem:
     whole: Problem | None = None
     threads: int = 1
     share: float = 1.0
+    enough: float | None = None
     like: Problem | None = None
 
     def part(self, clips: IntArray) -> Problem:

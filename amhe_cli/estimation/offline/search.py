@@ -179,9 +179,12 @@ def stepped(
     trail = state.trail
     if problem.non_smooth and not exploring:
         trail = np.append(trail.reshape(-1, taken.z.size), taken.z[None], axis=0)
-    still = taken.moved < SETTLED and not changed(sampling_sd(state.shape), sampling_sd(shape))
+    still = taken.moved < (problem.enough or SETTLED) and not changed(
+        sampling_sd(state.shape), sampling_sd(shape)
+    )
     # a step is short, too, while the misfit of an iteration before passes for noise
-    settled = still and not few and (problem.touches or not quieter(state.scale, taken.scale))
+    quieter = any(sd < 0.8 * state.scale.get(key, 1.0) for key, sd in taken.scale.items() if state.scale)
+    settled = still and not few and (problem.touches or not quieter)
     return replace(
         state,
         stage=_next_stage(state, number, settled, setting, total(problem, state)),
@@ -197,11 +200,6 @@ def stepped(
         straight=not (problem.touches or taken.far)
         and float(slopes.bend.mean()) < STRAIGHT * float((info.residual**2).mean()),
     )
-
-
-def quieter(before: Mapping[str, float], after: Mapping[str, float]) -> bool:
-    """Whether a step has left much less of what passed for noise."""
-    return any(sd < 0.8 * before.get(key, 1.0) for key, sd in after.items() if before)
 
 
 def last_step(problem: Problem, state: SearchState, slopes: Linearisation, info: Information) -> SearchState:

@@ -68,11 +68,8 @@ PAIRS = 4
 EXAMINED = 1000
 
 
-def assumed(fit: FinalFit, *, rough: bool = False) -> tuple[Term, tuple[str, ...]]:
-    """Error due to assumed values, and the settings of those that act and are taken as exact.
-
-    `rough`: from a quarter of the rollouts, good for a share of the sd.
-    """
+def assumed(fit: FinalFit) -> tuple[Term, tuple[str, ...]]:
+    """Error due to assumed values, and the settings of those that act and are taken as exact."""
     problem, values = fit.problem, _acting_values(fit)
     exact = [value.setting for value in values if value.sd == 0.0]
     if problem.settings.identify.assumed.time_step == 0.0:
@@ -81,7 +78,7 @@ def assumed(fit: FinalFit, *, rough: bool = False) -> tuple[Term, tuple[str, ...
     values = [v for v in values if v.sd > 0.0]
     # of jitter no regression says anything: the whole move counts
     moves, known = (changes, []) if problem.non_smooth else ([], changes)
-    term = _regressed(fit, known, values, rough)
+    term = _regressed(fit, known, values)
     errors = np.concatenate((*(change.error[:, None] for change in moves), term.errors), axis=1)
     sources = (*(change.source for change in moves), *term.sources)
     return replace(term, errors=errors, sources=sources), tuple(dict.fromkeys(exact))
@@ -212,15 +209,15 @@ def _changes(fit: FinalFit) -> Iterator[_Change]:
 # -- the regression ------------------------------------------------------------------------------------------
 
 
-def _regressed(fit: FinalFit, changes: Sequence[_Change], values: Sequence[Assumed], rough: bool) -> Term:
+def _regressed(fit: FinalFit, changes: Sequence[_Change], values: Sequence[Assumed]) -> Term:
     """A (S + m m') A' of choices, whose slopes are known, and of numbers of the model."""
     if not changes and not values:
         return Term("assumed", np.zeros((len(fit.z), 0)), shared=True)
     nuisances = _Nuisances(fit, changes, values)
     nuisances = nuisances.only(nuisances.felt())
     if nuisances.values:
-        nuisances = nuisances.followed(rough)
-        if np.abs(nuisances.posterior[1]).max() > FAR and not rough:
+        nuisances = nuisances.followed()
+        if np.abs(nuisances.posterior[1]).max() > FAR:
             # a step from a fit that they bias ends where the residuals are others
             nuisances = nuisances.moved()
     known, mean, moves = nuisances.posterior
@@ -288,13 +285,13 @@ class _Nuisances:
         values = [self.values[i - first] for i in rows if i >= first]
         return _Nuisances(self.fit, changes, values, self.slopes[:, rows], self._at[rows])
 
-    def followed(self, rough: bool = False) -> _Nuisances:
+    def followed(self) -> _Nuisances:
         """Slopes from samples along the ridges of the posterior: beside them the bend would be information.
 
         Two gains and the masses have a common factor of which no log knows anything, and of each of them
         alone a log may know a thousandth of what its data sheet leaves open. So samples follow the axes of
         their posterior, by a part of its width, and z and the first states follow them; again, until it
-        gets no wider. Where contacts jitter, each number is moved by its sd. `rough`: once, and to one side.
+        gets no wider. Where contacts jitter, each number is moved by its sd.
         """
         found, first, whole = self, len(self.changes), np.eye(len(self.values))
         for _ in range(TURNS):
@@ -302,11 +299,10 @@ class _Nuisances:
             gain = self._loose[..., None] * found._found.nuisance_gain
             turns = gain[..., : len(moves)] @ moves[:, first:] + gain[..., len(moves) + first :]
             steps = whole if self.problem.non_smooth else ALONG * axes(known[first:, first:])
-            straight = rough and not self.problem.touches
-            slopes = self._with_changes(self._sampled(moves[:, first:], turns, steps, straight))
+            slopes = self._with_changes(self._sampled(moves[:, first:], turns, steps))
             found = _Nuisances(self.fit, self.changes, self.values, slopes, self._at)
             grown = found.posterior[0].diagonal() / known.diagonal()
-            if rough or self.problem.non_smooth or grown.max() < GROWN:
+            if self.problem.non_smooth or grown.max() < GROWN:
                 break
         return found
 

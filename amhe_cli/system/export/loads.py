@@ -11,6 +11,7 @@ kuka    KRL: LOAD of mass, place [mm], directions A B C of the principal axes [d
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Mapping
 from xml.sax.saxutils import quoteattr
 
@@ -22,6 +23,7 @@ from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.system.export.mjcf import identified_spec
 from amhe_cli.system.model.elements import names_of
 from amhe_cli.system.model.files import compiled
+from amhe_cli.system.parameters.inertia import inertia_of
 from amhe_cli.system.system import System
 
 #: Mass, centre of mass (3,), and inertia about it (3, 3).
@@ -103,9 +105,17 @@ def load_text(system: System, theta: FloatArray, flange: str, kind: str) -> str:
 
 
 def xacro_properties(system: System, theta: FloatArray) -> str:
-    """A xacro file with the value of each parameter as a property, to be included by the robot's own."""
-    values = zip(system.space.parameters, theta, strict=True)
-    rows = [f"  <xacro:property name={quoteattr(p.name)} value={quoteattr(_number(v))}/>" for p, v in values]
+    """A xacro file of properties, to be included by the robot's own.
+
+    Each parameter is one; of a body's inertia, its mass, centre of mass, and moments about it, in the axes of
+    the body. Names are those of Python, which xacro reads: what is no letter or digit is an underscore.
+    """
+    named = zip(system.space.names, theta.tolist(), strict=True)
+    values = {name: value for name, value in named if not inertia_of(name)}
+    for body, numbers in system.edits.inertias(theta[None]):
+        values |= {f"{body}.{name}": float(number[0]) for name, number in numbers.items()}
+    values = {re.sub(r"[^A-Za-z0-9]", "_", name): _number(value) for name, value in values.items()}
+    rows = [f"  <xacro:property name={quoteattr(n)} value={quoteattr(v)}/>" for n, v in values.items()]
     head = '<?xml version="1.0"?>\n<robot xmlns:xacro="http://www.ros.org/wiki/xacro">'
     return "\n".join((head, *rows, "</robot>")) + "\n"
 
