@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -16,8 +16,6 @@ from amhe_cli.cli.kinds import LOG, MODEL, NewFile, episodes
 from amhe_cli.cli.session import LOSSY, Session
 
 if TYPE_CHECKING:
-    from mujoco import MjModel, MjSpec
-
     from amhe_cli.check.findings import Finding
     from amhe_cli.cli.inputs import Inputs
     from amhe_cli.core.log import Log
@@ -93,7 +91,7 @@ def check(session: Session, given: Given) -> int | None:
     return LOSSY if missed else None
 
 
-def _compiled(path: Path, spec: MjSpec) -> MjModel:
+def _compiled(path: Path, spec: Any) -> Any:
     """The model; with the nearest possible inertia where MuJoCo takes none that no body has."""
     import logging
 
