@@ -17,8 +17,6 @@ _OUTSIDE = re.compile(r"\[([^\]]*)\]\(\.\./[^)]*\)")
 
 #: $$ ... $$ and $...$: equations in LaTeX, as GitHub renders them.
 _DISPLAYED, _INLINE = re.compile(r"\$\$(.+?)\$\$", re.DOTALL), re.compile(r"(?<![\w`$])\$([^$\n]+)\$")
-#: An option in inline code, and what keeps it on one line.
-_OPTION, _KEPT = re.compile(r"(?<!\S)--?[a-z][\w.-]*"), r'<span style="white-space:nowrap">\g<0></span>'
 _CODE = re.compile(r"(```.*?```|`[^`\n]*`)", re.DOTALL)
 
 
@@ -31,9 +29,14 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def on_page_content(html: str, **_: Any) -> str:
-    """No line ends within an option of inline code."""
-    code = re.compile(r"(?<!<pre>)<code>([^<]*)</code>")
-    return code.sub(lambda m: f"<code>{_OPTION.sub(_KEPT, m[1])}</code>", html)
+    """Lines of inline code do not end at a hyphen, as of an option, nor within a name."""
+    return re.sub(r"(?<!<pre>)<code>([^<]*)</code>", lambda m: f"<code>{_whole(m[1])}</code>", html)
+
+
+def _whole(code: str) -> str:
+    """Inline code as HTML: a short word stays whole, a long name may break at its marks."""
+    code = re.sub(r"(?<!\S)(?=\S*-)\S{2,24}(?!\S)", r'<span style="white-space:nowrap">\g<0></span>', code)
+    return re.sub(r"\b(?<![-<])\w+[/_.]\S{9,}", lambda m: re.sub(r"[/_.](?=\w)", r"\g<0><wbr>", m[0]), code)
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:

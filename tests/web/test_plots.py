@@ -83,7 +83,7 @@ pytestmark = pytest.mark.medium
 
 def test_the_pointer_reads_the_nearest_sample_of_each_line_and_their_difference(opened: Browser) -> None:
     first, _, far, _ = pointed(opened, 0, 0.52)  # measured at 0, 0.5, 1, 1.5 and 2
-    assert first == "1.00 s0.501.001.10Δ 0.10"
+    assert first == "1.00 s0.501.001.10Δ\u00a00.10"
     assert far.startswith("1.00 s"), "panels over the same x go together"
     assert opened.run("document.querySelectorAll('.panel circle').length") == 5
 

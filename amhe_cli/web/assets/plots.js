@@ -183,18 +183,18 @@ class Panel {
     if (texts.has("measured") && texts.has("after")) texts.set("measured \u2212 after", { value: texts.get("measured").value - texts.get("after").value, color: "soft" });
     const unit = this.across.match(/\[(.*)\]/)?.[1] ?? "";
     this.number.replaceChildren(`${precise(there, this.x)} ${unit}`, ...[...texts].map(([name, { value, color }]) => {
-      const one = made("b", { title: name, textContent: (name.startsWith("measured \u2212") ? "\u0394 " : "") + (this.panel.log || Math.abs(value) < 1e-3 * (this.y[1] - this.y[0]) ? brief(value) : precise(value, this.y)) });
+      const one = made("b", { title: name, textContent: (name.startsWith("measured \u2212") ? "\u0394\u00a0" : "") + (this.panel.log || Math.abs(value) < 1e-3 * (this.y[1] - this.y[0]) ? brief(value) : precise(value, this.y)) });
       one.style.color = ink(color); return one;
     }));
   }
-  // The line of the present time with its numbers, where a scene plays; else none.
+  // The line of the present time with its numbers, where a scene plays, whose clock says the time; else none.
   cursor(now) {
     if (!this.lines || !this.pointer) return;
     this.pointer.replaceChildren(); this.number.replaceChildren();
     const shown = now !== null && now >= this.x[0] && now <= this.x[1];
     this.present.setAttribute("visibility", shown ? "visible" : "hidden");
     if (!shown) return;
-    this.point(now); this.pointer.replaceChildren();
+    this.point(now); this.pointer.replaceChildren(); this.number.firstChild?.remove();
     const [x] = this.place(now, this.y[0]); this.present.setAttribute("x1", x); this.present.setAttribute("x2", x);
   }
 }
