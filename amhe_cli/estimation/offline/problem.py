@@ -252,7 +252,7 @@ class Problem:
         The other side is tried of those alone that the first side leaves without an effect.
         What does not move all is looked at away from the prior's mean, too: a joint does not feel a mass
         whose centre lies on its axis, until the centre moves. What has the prior that it has in a problem
-        like this one moves what it moves there.
+        like this one moves at the prior's mean what it moves there.
         """
         d, cost = len(self.system.space), self.cost(self._some_clips)
         if self.engine.precision > COARSE:
@@ -276,8 +276,8 @@ class Problem:
             diverged[left] = ~residuals.completed[1:].all(axis=1)
             felt = np.any([columns[left].any(axis=1) for columns in moved.values()], axis=0)
             left = left[~(felt | diverged[left])]
-        gaps = fresh[~np.all([columns[fresh].all(axis=1) for columns in moved.values()], axis=0)]
-        if gaps.size and not (self.touches or diverged.any()):
+        gaps = np.flatnonzero(~np.all([columns.all(axis=1) for columns in moved.values()], axis=0))
+        if fresh.size and gaps.size and not (self.touches or diverged.any()):
             place = self.rng(12).uniform(-1.0, 1.0, d)
             steps = np.concatenate((np.zeros((1, d)), 0.5 * np.eye(d)[gaps]))
             residuals = cost.residuals(self.system.space.clip(place + steps))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 
 import amhe_cli as amhe
+from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.core.linearise import (
@@ -23,6 +25,7 @@ from amhe_cli.estimation.core.linearise import (
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.problem import Problem
+from amhe_cli.matching.cost import MatchingCost
 
 ARMS = ("left", "right")
 TRUTH = {"left_damping": 0.08, "left_armature": 0.012, "right_damping": 0.15, "right_armature": 0.02}
@@ -97,6 +100,31 @@ def test_arms_side_by_side_share_rollouts_and_arms_in_a_row_do_not(apart: Proble
     assert apart.sparsity is not None and problem(apart=False).sparsity is None
     assert apart.sparsity.unknowns(first=True) == 5, "of nine: a damping, an armature, a delay, a first state"
     assert [list(group) for group in apart.alike or []] == [[2, 3], [0, 1], [4]]
+
+
+def test_other_priors_on_the_same_clips_are_looked_at_for_what_is_new(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    before = problem(apart=True)
+    assert before.active.all() and before.sparsity is not None
+    space = before.system.space
+    wider = replace(space.parameters[0], prior_sd=3.0 * space.prior_sd[0])
+    system = replace(before.system, space=replace(space, parameters=(wider, *space.parameters[1:])))
+    pool = ClipPool(system, before.pool.parts, system.settings.clips)
+    anew = replace(before, system=system, pool=pool)
+    known = replace(anew, like=before)
+    tried, residuals = list[int](), MatchingCost.residuals
+
+    def counted(cost: MatchingCost, z: FloatArray, first: FloatArray | None = None) -> Any:
+        tried.append(len(z))
+        return residuals(cost, z, first)
+
+    monkeypatch.setattr(MatchingCost, "residuals", counted)
+    assert known.active.all() and tried == [2, 5], "one step of what is new, and gaps away from the mean"
+    for key, columns in anew._moved[0].items():
+        np.testing.assert_array_equal(known._moved[0][key], columns)
+    elsewhere = replace(known, only=tuple(known.usable[:1]))
+    assert elsewhere._like is None, "other clips may show other things"
 
 
 @pytest.mark.parametrize("shared", [True, False])
