@@ -182,15 +182,21 @@ def test_arrays_of_a_card_are_made_on_that_card() -> None:
 def test_several_cards_share_a_prediction(monkeypatch: pytest.MonkeyPatch) -> None:
     """One thread at a time uses each: what others launch there would be captured in its graphs."""
     monkeypatch.setattr(engine_module, "LEAST", 4)
-    running, run = Counter[str](), Worlds.run
+    running, worlds, run = Counter[str](), Card.worlds, Worlds.run
 
-    def alone(self: Worlds, job: Any) -> Any:
-        running[str(self._device)] += 1
-        time.sleep(0.02)
-        assert running.pop(str(self._device)) == 1
-        return run(self, job)
+    def begins(self: Card, *given: Any) -> Worlds:
+        running[self._device] += 1
+        time.sleep(0.05)
+        assert running[self._device] == 1
+        return worlds(self, *given)
 
-    monkeypatch.setattr(Worlds, "run", alone)
+    def ends(self: Worlds, job: Any) -> Any:
+        done = run(self, job)
+        running[str(self._device)] -= 1
+        return done
+
+    monkeypatch.setattr(Card, "worlds", begins)
+    monkeypatch.setattr(Worlds, "run", ends)
     arguments = call(PENDULUM)
     (one,), (three,) = (on(PENDULUM, *n * DEVICES).predict(*arguments).values for n in (1, 3))
     np.testing.assert_array_equal(to_host(three), to_host(one))
