@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import yaml
 
+from amhe_cli import LogWriter
 from amhe_cli.cli.advice import entries, entry_of
 from amhe_cli.cli.command import FORMER
 from amhe_cli.cli.inputs import Inputs
@@ -99,7 +100,8 @@ PATH = ("amhe", "Tutorial", "How to", "Understand", "Troubleshooting", "Glossary
 #: Words that the user's path may have.
 WORDS = 22_000
 #: What a page has no robot, network or browser for here, by the words of the command; tested elsewhere.
-ELSEWHERE = ("--source ros2", "--source zenoh", "--follow", "udp://", "menagerie:", "amhe view found/  ")
+ELSEWHERE = ("--source ros2", "--source zenoh", "--follow", "udp://", "menagerie:", "amhe view found/  ",
+             "amhe view arm-found/  ", "--view  ", "so101.xml", "dataset#", "amhe identify ...")  # fmt: skip
 
 
 def user_pages() -> list[Path]:
@@ -115,17 +117,15 @@ def user_pages() -> list[Path]:
     return [ROOT / "README.md" if name == "index.md" else ROOT / "docs" / name for name in pages]
 
 
-def commands(text: str, fence: str | None = None) -> Iterator[str]:
-    """Command lines of `amhe` in blocks: those of a fence, or all."""
-    blocks = re.findall(r"^```(\w*)\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
-    if fence is None:
-        blocks += [("", line) for line in re.findall(r"^    (amhe .*)$", text, re.MULTILINE)]
-    for kind, block in blocks:
-        if fence in (None, kind):
-            for line in block.replace("\\\n", " ").splitlines():
-                line = line.removeprefix("$ ").split("  #")[0].strip()
-                if re.match(r"amhe [\w-]+(?!.*: error)( |$)", line):
-                    yield line
+def commands(text: str) -> Iterator[str]:
+    """Command lines of `amhe` in blocks."""
+    blocks = re.findall(r"^```\w*\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    blocks += re.findall(r"^    (amhe .*)$", text, re.MULTILINE)
+    for block in blocks:
+        for line in block.replace("\\\n", " ").splitlines():
+            line = line.removeprefix("$ ").split("  #")[0].strip()
+            if re.match(r"amhe [\w-]+(?!.*: error)( |$)", line):
+                yield line
 
 
 def test_the_users_path_is_short_enough() -> None:
@@ -146,7 +146,7 @@ def test_commands_and_options_that_a_page_shows_exist(page: Path) -> None:
 
 
 #: The user's robot: a link on a servo.
-ROBOT = """<mujoco model="my_robot"><option timestep="0.005"/><worldbody><body name="fore">
+ROBOT = """<mujoco model="my_robot"><option timestep="0.005"/><worldbody><body name="load">
   <joint name="elbow" axis="0 1 0" range="-3 3" damping="0.1" frictionloss="0.02" armature="0.002"/>
   <geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.02" mass="0.3"/></body></worldbody>
   <actuator><position name="elbow" joint="elbow" kp="6" kv="0.4" forcerange="-2 2"/></actuator></mujoco>"""
@@ -164,6 +164,24 @@ def swing(phase: float) -> str:
     return "\n".join(rows) + "\n"
 
 
+#: The same link as a URDF, and what a servo of it may be.
+URDF = """<robot name="arm"><link name="base"/><link name="load"><inertial><origin xyz="0 0 -0.1"/>
+  <mass value="0.3"/><inertia ixx="0.001" iyy="0.001" izz="0.0001" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="elbow" type="revolute"><parent link="base"/><child link="load"/><axis xyz="0 1 0"/>
+  <limit lower="-3" upper="3" effort="2" velocity="9"/></joint></robot>"""
+DRIVE = ("--drive", "elbow=feetech:sts3215", "--volts", "12", "--gain-p", "16")
+
+
+def recorded(path: Path) -> None:
+    """The first of these logs as messages of ROS."""
+    rows = np.loadtxt(swing(0.0).splitlines()[1:], delimiter=",")
+    with LogWriter(path) as log:
+        for time, angle, target in rows:
+            stamp = round(1e9 * time)
+            log.joint_state("/joint_states", stamp, ["elbow"], [angle])
+            log.joint_state("/joint_commands", stamp, ["elbow"], [target])
+
+
 @pytest.fixture(scope="module")
 def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What pages take for given: logs and a model of the user's, a system folder, a result."""
@@ -171,10 +189,22 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "my_robot.xml").write_text(ROBOT.replace('damping="0.1"', 'damping="0.05"'))
     for name, phase in {"my_log": 0.0, "run1": 0.0, "run2": 1.0}.items():
         (folder / f"{name}.csv").write_text(swing(phase))
+    shutil.copy(ROOT / "examples" / "logs" / "arm_torque.csv", folder / "arm.csv")
+    for name in ("run.mcap", "swing.mcap"):
+        recorded(folder / name)
+    urdf = folder / "arm_description" / "urdf" / "arm.urdf"
+    urdf.parent.mkdir(parents=True)
+    for path in (urdf, folder / "arm.urdf"):
+        path.write_text(URDF)
+    for name, log in {"calibrate": "run1", "weigh": "run2"}.items():
+        (folder / f"{name}.yaml").write_text(f"logs: [{{log: {log}.csv}}]")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         quick(patch)
-        assert run(["init", "my_robot.xml", "my_log.csv", "--actuators", "-o", "my_system", "-q"]) == 0
+        made = {"my_system": ("my_log.csv",), "my_arm": ("swing.mcap",), "servo": ("my_log.csv", *DRIVE)}
+        for system, words in made.items():
+            assert run(["init", "my_robot.xml", *words, "-o", system, "-q"]) == 0
+        shutil.copytree("my_arm", "arm")
         assert run(["identify", "my_log.csv", "--system", "my_system", "-o", "found", "-q"]) == 0
     return folder
 
@@ -194,8 +224,14 @@ LITTLE = {
     "amhe identify": ["--max-time", "1"],
     "amhe audit example:": ["--to", "3"],
     "amhe check example:": ["--to", "2"],
+    "amhe mhe-replay arm.csv": ["--to", "2"],
+    "amhe init arm": ["--force"],  # three ways to the same folder
 }
-RUN = [page for page in user_pages() if list(commands(page.read_text(encoding="utf-8"), "sh"))]
+RUN = [
+    page
+    for page in user_pages()
+    if page.name != "cli.md" and list(commands(page.read_text(encoding="utf-8")))
+]
 
 
 @pytest.mark.slow
@@ -209,7 +245,7 @@ def test_the_commands_of_a_page_run_in_their_order(
             (shutil.copytree if given.is_dir() else shutil.copy)(given, tmp_path / given.name)
     monkeypatch.chdir(tmp_path)
     quick(monkeypatch)
-    for line in commands(text, "sh"):
+    for line in commands(text):
         if any(words in f"{line}  " for words in ELSEWHERE):
             continue
         little = next((options for start, options in LITTLE.items() if line.startswith(start)), [])
