@@ -213,6 +213,8 @@ FRICTION = "{geom: box, set: sliding_friction}"
 
 BOTH = f"{FRICTION}, {{geom: floor, set: sliding_friction}}"
 PRIORITY = 'priority="1"'
+#: Of the same body, with a friction of its own: no doubt about the floor's.
+LID = '/><geom name="lid" type="sphere" size="0.01"'
 ABOVE = ", nominal: 2, bounds: [1.5, 3]"
 TORSION = "{pair: slide, set: torsional_friction}"
 
@@ -222,6 +224,7 @@ TORSION = "{pair: slide, set: torsional_friction}"
     [
         (FRICTION, {}, "below 1 it changes nothing against geom 'floor'"),
         (BOTH, {"keys": ", nominal: 0.5"}, None),
+        (BOTH, {"keys": ", nominal: 0.5", "box": LID}, None),
         (FRICTION, {"box": PRIORITY}, None),
         ("{geom: floor, set: sliding_friction}", {"box": PRIORITY}, "whose higher priority decides"),
         (FRICTION, {"keys": ABOVE}, None),

@@ -94,6 +94,8 @@ def _geom_friction(
         return
     together = {c.row for c in cells if c.field == "geom_friction"}
     others = list(partners(model, row))
+    if model.geom_bodyid[row] == 0 and together & set(others):  # a floor whose partners are set, too
+        others = [other for other in others if other in together]
     for other in others:
         if other in together or model.geom_priority[other] < model.geom_priority[row]:
             continue
