@@ -380,6 +380,10 @@ def unit_of(target: TargetEntry, model: mujoco.MjModel) -> str:
     elif target.actuator is not None:
         row = rows_of(model, target, "actuator")[0]
         joint = int(model.actuator_trnid[row, 0]) if model.actuator_trntype[row] <= 1 else None
+        # a servo's stiffness and damping: its targets are in the unit of its joint
+        servo = joint is not None and model.actuator_biastype[row] == mujoco.mjtBias.mjBIAS_AFFINE
+        follows = servo and -model.actuator_biasprm[row, 1] == model.actuator_gainprm[row, 0] != 0.0
+        unit = {"gain": "N m/rad", "actuator_damping": "N m s/rad"}.get(target.set, unit) if follows else unit
     if joint is None or int(model.jnt_type[joint]) != mujoco.mjtJoint.mjJNT_SLIDE:
         return unit
     return {"kg m^2": "kg", "1/(N m)": "1/N"}.get(unit) or unit.replace("N m", "N").replace("rad", "m")
