@@ -307,8 +307,9 @@ def _lines(
     sheet, factor = np.array([[c.sd, c.factor] for c in claims]).T
     unjudged = _unjudged(found)
     wrong = contradicted(judgement.chance) & (not unjudged)
-    value = factor * theta_of(log, logged.mean)
-    sd = logged.sd * np.where(log, value, factor)
+    with np.errstate(over="ignore", invalid="ignore"):  # of what it does not show, a log may say anything
+        value = factor * theta_of(log, logged.mean)
+        sd = logged.sd * np.where(log, value, factor)
     doubtful = contradicted(chances(logged.t))  # something else may be wrong in its place
     verdicts = verdicts_of(wrong, (logged.sd <= sheet) & ~doubtful & (not unjudged))
     weight = _weights(system, found, claims, wrong, logs)

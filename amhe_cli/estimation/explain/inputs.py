@@ -31,6 +31,8 @@ from amhe_cli.system.system import System
 _MOST = 400
 #: Instants that decide, and the price of a share of all force that a joint's drive or friction is off.
 _INSTANTS, _PRICE = 600, 0.1
+#: Instants that show which candidates leave more than the log as it is: most of a log that is right.
+_GLANCE = 150
 #: What is left of two logs put right that are alike, at most a factor.
 LIKE = 1.1
 #: Factors from numbers to SI units that are tried.
@@ -142,6 +144,11 @@ def mended(system: System, parts: Sequence[Window], rng: np.random.Generator) ->
     look = _Look.at(system, part) if 0 < len(candidates) <= _MOST else None
     if look is None or (start := look.left()) is None:
         return []
+    tried, glance = len(candidates), _Look.at(system, part, _GLANCE)
+    if glance is not None and (as_is := glance.left()) is not None:
+        candidates = [
+            one for one in candidates if (left := glance.left(one.mend)) is None or left.sum() < as_is.sum()
+        ]
     blocks = blocks_of([slice(0, len(start))], memory_of(start[:, None], [slice(0, len(start))]))
     edges = [block.start for block in blocks]  # they follow each other without a gap
 
@@ -161,7 +168,8 @@ def mended(system: System, parts: Sequence[Window], rng: np.random.Generator) ->
         found.append(replace(one, share=1.0 - float(left.sum() / start.sum()), left=float(left.sum())))
     if not gains:
         return []
-    chance = np.quantile(np.max(signs @ np.array(gains).T, axis=1), 1.0 - LEVEL)
+    # what a glance has set aside was tried, too
+    chance = np.quantile(np.max(signs @ np.array(gains).T, axis=1), 1.0 - LEVEL * len(gains) / tried)
 
     def alone(one: Mended) -> bool:
         """Whether other factors, and the log as it is, leave more: any would do where little is explained."""
@@ -250,10 +258,10 @@ class _Look:
     rows: BoolArray | None
 
     @classmethod
-    def at(cls, system: System, part: Window) -> _Look | None:
-        """The part as it is; None where it shows no motion."""
+    def at(cls, system: System, part: Window, most: int = _INSTANTS) -> _Look | None:
+        """The part as it is, at about so many instants at most; None where it shows no motion."""
         theta = np.array(system.space.nominal)
-        if (motion := motion_in(system, [part], theta, _INSTANTS)) is None:
+        if (motion := motion_in(system, [part], theta, most)) is None:
             return None
         (model,) = models_of(system, [part.log], theta)
         return cls(system, model, motion, along(system, [model], motion), _counting(model, motion))
