@@ -32,7 +32,7 @@ from amhe_cli.system.system import System
 #: their share of an error scattered by half.
 CLIPS = 12
 #: Fewer, but never below this, where one linearisation would take more steps of the simulation than that.
-FEWEST, STEPS = 6, 200_000
+FEWEST, STEPS = 4, 200_000
 #: Iterations of the search that lead near the estimate, at most; it is near where an iteration leaves more
 #: than this share of the cost of the one before.
 ITERATIONS, NEAR = 6, 0.9
