@@ -122,12 +122,16 @@ def _bands(system: System, log: Log) -> FloatArray:
 def log_findings(system: System, logs: Sequence[Log], moved: Sequence[JointMotion]) -> list[Finding]:
     """What is wrong with a recording: what stands still, gaps, drives that give all, contacts.
 
+    Where several logs have the same doubt, that of the worst stands for all.
+
     Args:
         system: The system that the logs were read for.
         logs: The logs.
         moved: Their motion.
     """
-    return [Finding.of(doubt) for doubt in _doubts(system, logs, moved)]
+    found = list(_doubts(system, logs, moved))
+    worst = {doubt[:2]: doubt for doubt in sorted(found, key=lambda doubt: doubt[3])}
+    return [Finding.of(doubt) for doubt in found if worst[doubt[:2]] is doubt]
 
 
 def _doubts(system: System, logs: Sequence[Log], moved: Sequence[JointMotion]) -> Iterator[Doubt]:

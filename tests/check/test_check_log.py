@@ -119,18 +119,21 @@ SERVO = """<mujoco><worldbody><geom type="plane" size="1 1 .1"/><body name="rod"
 def test_what_is_wrong_with_a_recording_stands_in_the_list(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A rod that its servo presses on the floor with all its force, with a silence of a fifth of the log."""
+    """A rod that its servo presses on the floor with all its force, with a silence of a fifth of the log; the
+    same in a second log is said once."""
     times = np.arange(0.0, 12.0, 0.01)
     position = 0.3 + 0.42 * np.sin(1.5 * times)
     rows = np.column_stack((times, position, position + 0.2))[(times < 5.0) | (times > 7.5)]
-    model, log = tmp_path / "rod.xml", tmp_path / "log.csv"
+    model, logs, head = tmp_path / "rod.xml", [], "time,position_hinge,command_position_servo"
     model.write_text(SERVO)
-    np.savetxt(
-        log, rows, fmt="%.6g", delimiter=",", header="time,position_hinge,command_position_servo", comments=""
-    )
-    assert run(["check", str(model), str(log), "--json"]) == 0
+    for name, part in {"log.csv": rows, "other.csv": rows[:800]}.items():
+        np.savetxt(tmp_path / name, part, fmt="%.6g", delimiter=",", header=head, comments="")
+        logs.append(str(tmp_path / name))
+    assert run(["check", str(model), *logs, "--json"]) == 0
     captured = capsys.readouterr()
-    found = {one["kind"]: one for one in json.loads(captured.out)["findings"]}
+    findings = json.loads(captured.out)["findings"]
+    found = {one["kind"]: one for one in findings}
+    assert [one["kind"] for one in findings].count("saturated") == 1
     assert {"gaps", "saturated", "contact"} <= found.keys()
     assert found["saturated"]["where"] == "servo" and "100%" in found["saturated"]["what"]
     assert found["contact"]["where"] == "rod, world"
