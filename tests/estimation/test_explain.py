@@ -17,7 +17,7 @@ from amhe_cli.core.each_log import searched
 from amhe_cli.engine.inverse import forces_along
 from amhe_cli.estimation.core.result import Missing
 from amhe_cli.estimation.explain.candidate import CauseMaker
-from amhe_cli.estimation.explain.drives import drive_causes
+from amhe_cli.estimation.explain.drives import _replaced, drive_causes
 from amhe_cli.estimation.explain.efforts import unexplained_efforts
 from amhe_cli.estimation.explain.explain import explain, forced
 from amhe_cli.estimation.explain.inputs import mended
@@ -212,6 +212,17 @@ def test_what_lets_a_model_have_a_cause_is_valid(pendulum: tuple[amhe.System, am
     expected = {"load friction", "spring", "delay"} if sign < 0.0 else set()
     expected |= {"stribeck", "viscous", "dry", "armature"}  # the last three are parameters, fixed here
     assert kinds == expected | {"quadratic", "gain", "servo limit", "constant", "sine"}
+
+
+def test_a_target_that_stands_still_has_no_later_force(pendulum: tuple[amhe.System, amhe.Log]) -> None:
+    """As of a servo whose torque is off for the rest of a log: nothing divides by its change."""
+    system, log = pendulum
+    free = system.fixing(only=["load_mass"])
+    found = unexplained(free, [whole(log)], np.zeros(1))
+    assert found is not None
+    maker, drive = CauseMaker(free, found), found.forces.by[:, 0, 0]
+    alone = _replaced(maker, 0, drive, drive)
+    np.testing.assert_allclose(_replaced(maker, 0, drive, drive, 0.0 * drive), [*alone, 0.0], rtol=1e-9)
 
 
 @pytest.mark.medium

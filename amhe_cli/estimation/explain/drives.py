@@ -142,7 +142,8 @@ def _replaced(maker: CauseMaker, dof: int, now: FloatArray, *columns: FloatArray
     moved = found.made_by(maker.spread(values)[1])
     residual, slopes = found.residual[found.rows], found.slopes[:, found.rows]
     known = np.concatenate([moved[1:], slopes]).reshape(len(columns) + len(slopes), -1)
-    prior = np.r_[np.zeros(len(columns)), np.ones(len(slopes))] * (residual**2).mean()
+    idle = ~moved[1:].any(axis=(1, 2))  # such as the later force of a target that stands still
+    prior = np.r_[idle, np.ones(len(slopes))] * (residual**2).mean()
     prior *= memory_of(residual, found.stretches)
     wanted = known @ (residual + moved[0]).ravel()
     return np.linalg.solve(known @ known.T + np.diag(prior), wanted)[: len(columns)]
