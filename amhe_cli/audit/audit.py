@@ -306,7 +306,8 @@ def _lines(
     logged, log = judgement.said, system.space.log[rows_of(system, claims)]
     sheet, factor = np.array([[c.sd, c.factor] for c in claims]).T
     unjudged = _unjudged(found)
-    wrong = contradicted(judgement.chance) & (not unjudged)
+    # sets that say nothing of a number may differ by much, and so may their mean
+    wrong = contradicted(judgement.chance) & (chances(logged.t) < RATE) & (not unjudged)
     with np.errstate(over="ignore", invalid="ignore"):  # of what it does not show, a log may say anything
         value = factor * theta_of(log, logged.mean)
         sd = logged.sd * np.where(log, value, factor)
