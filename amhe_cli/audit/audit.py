@@ -12,6 +12,7 @@ import numpy as np
 from amhe_cli.audit.claims import Claim, Group, claims_of, doubts_of
 from amhe_cli.audit.judge import (
     ODDS,
+    RATE,
     Findings,
     Said,
     averaged,
