@@ -200,6 +200,7 @@ def test_several_cards_share_a_prediction(monkeypatch: pytest.MonkeyPatch) -> No
     arguments = call(PENDULUM)
     (one,), (three,) = (on(PENDULUM, *n * DEVICES).predict(*arguments).values for n in (1, 3))
     np.testing.assert_array_equal(to_host(three), to_host(one))
+    assert wp.get_device("cpu").runtime.core.wp_cuda_get_context_restore_policy(), "of the current card"
 
 
 def test_numbers_of_another_card_are_copied_before_its_memory_is_used_again(

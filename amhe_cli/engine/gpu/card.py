@@ -63,6 +63,15 @@ def in_use(device: str) -> AbstractContextManager[Any]:
     return threading.RLock()
 
 
+def keep_current_cards() -> None:
+    """Have warp leave the current card of a thread as it was.
+
+    By default its calls do not. So a thread that freed arrays of another card, as Python does at any time,
+    was on that card afterwards, and CuPy's next call was refused, or read from the wrong card.
+    """
+    wp.get_device("cpu").runtime.core.wp_cuda_set_context_restore_policy(True)
+
+
 @cache
 def free_bytes(device: str) -> int:
     """Memory of a card that others left free when this process looked first [bytes]."""

@@ -56,10 +56,12 @@ class GpuEngine:
         sensors: bool,
         devices: Sequence[str],
     ) -> None:
-        from amhe_cli.engine.gpu.card import Card  # which takes seconds to load
+        from amhe_cli.engine.gpu.card import Card, keep_current_cards  # which takes seconds to load
 
         self._model, self._edits, self._devices = model, edits, tuple(devices)
         self._blueprint = Blueprint.of(model, edits, input_spec, sensors)
+        if len(self._devices) > 1:
+            keep_current_cards()
         self.cards = [Card(self._blueprint, device) for device in self._devices]
 
     @property
