@@ -124,36 +124,6 @@ def marginalised(
     )
 
 
-def negligible(
-    gz: FloatArray, gx: FloatArray, weight: FloatArray, prior: FloatArray, share: float
-) -> BoolArray:
-    """Nuisances that may be taken as known, shape (n,): all together they say next to nothing of z.
-
-    Args:
-        gz, gx, weight: See `marginalised`.
-        prior: Information of the prior of z, shape (d, d), as far as these windows count once.
-        share: The most that a variance of z may lose, in any direction.
-    """
-    wx, every = gx * weight[:, None], np.arange(gx.shape[1])
-    precision, cross = wx @ gx.transpose(0, 2, 1) + np.eye(every.size), wx @ gz.transpose(0, 2, 1)
-
-    def hidden(by: IntArray) -> FloatArray:
-        """Information on z that not knowing some nuisances hides, shape (d, d)."""
-        solved = np.linalg.solve(precision[:, by[:, None], by], cross[:, by])
-        return np.einsum("cxi,cxj->ij", cross[:, by], solved)
-
-    left = np.einsum("cir,cr,cjr->ij", gz, weight, gz) - hidden(every) + prior
-    round_ = np.linalg.inv(np.linalg.cholesky(left))
-
-    def gained(known: IntArray) -> float:
-        more = hidden(every) - hidden(np.setdiff1d(every, known))
-        return float(np.linalg.eigvalsh(round_ @ more @ round_.T)[-1])
-
-    order = np.argsort([gained(every[k : k + 1]) for k in every], kind="stable")
-    count = next((k for k in every if gained(order[: k + 1]) > share), every.size)
-    return np.isin(every, order[:count])
-
-
 def information(
     slopes: Linearisation,
     channels: Sequence[bool] | None = None,

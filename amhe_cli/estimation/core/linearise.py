@@ -229,10 +229,6 @@ class FirstStates:
         """Those of some of the clips."""
         return FirstStates(self.mean[clips], self.shape[clips])
 
-    def along(self, errors: IntArray) -> FirstStates:
-        """Those of which only some errors are sampled."""
-        return FirstStates(self.mean, self.shape[:, :, errors])
-
     @property
     def forgotten(self) -> FirstStates:
         """The prior, sampled along the directions of these samples alone, which are orthogonal."""

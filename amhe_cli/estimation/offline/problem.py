@@ -14,7 +14,7 @@ from amhe_cli.core.settings import Settings
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine, cut
 from amhe_cli.engine.states import nearest, touching
-from amhe_cli.estimation.core.information import Information, marginalised, negligible
+from amhe_cli.estimation.core.information import Information, marginalised
 from amhe_cli.estimation.core.linearise import (
     WIDEST,
     FirstStates,
@@ -44,10 +44,6 @@ FEWEST = 8
 NON_SMOOTH = 0.02
 #: Clips of each kind of log that show what the errors of a first state move.
 FEW = 2
-#: Clips that show which errors of a first state last, behind contacts.
-LASTING = 4
-#: Share of a variance of z that may be neglected with the others: a fiftieth of its sd.
-NEGLECTED = 0.04
 #: From this many times as many clips as can be fitted, those are chosen that tell most.
 WORTH = 2
 #: At most this many times as many clips are looked at for that.
@@ -174,8 +170,7 @@ class Problem:
         """Rollouts of one linearisation of all clips, its first states included."""
         setting, d = self.settings.identify, len(self.system.space)
         fitted = setting.first_state != "never"
-        nx = first_index(self.system).size if self.lasting is None else self.lasting.size
-        unknowns = d + fitted * nx
+        unknowns = d + fitted * first_index(self.system).size
         if self.sparsity is not None:
             unknowns = self.sparsity.unknowns(fitted)
         return (2 * max(unknowns, setting.samples // 2) + 1) * len(self.clips)
@@ -216,31 +211,8 @@ class Problem:
 
     def recorded(self, cost: MatchingCost) -> FirstStates:
         """First states of a cost's clips as recorded; without errors where the settings fit none."""
-        if self.settings.identify.first_state == "never":
-            return FirstStates.recorded(len(cost.clips.windows), 0)
-        recorded = FirstStates.recorded(len(cost.clips.windows), cost.nx)
-        return recorded if self.lasting is None else recorded.along(self.lasting)
-
-    @cached_property
-    def lasting(self) -> IntArray | None:
-        """Errors of a first state that a linearisation samples, of those that contacts make it sample all.
-
-        A servo pulls its joint back before the clip knows anything of z: a few clips at the prior's mean, by
-        the declared noise, show which errors last. None: all of them, or of so few clips a look costs more.
-        """
-        if self.whole is not None:
-            return self.whole.lasting
-        if not self.non_smooth or len(self.clips) < 4 * LASTING:
-            return None
-        windows, space = evenly(self.clips, LASTING), self.system.space
-        cost, step = self.cost(windows), sampling_width(space, self.settings.identify.step)
-        first, z = FirstStates.recorded(len(windows), cost.nx), np.zeros(len(space))
-        found = self.linearised(cost, z, first, np.diag(step * self.active), self.rng(13))
-        if not found.completed.any():
-            return None
-        gz, gx = np.split(found.gain[found.completed], [z.size], axis=1)
-        weight, prior = 1.0 / (1.0 + found.bend[found.completed]), space.prior_precision
-        return np.flatnonzero(~negligible(gz, gx, weight, prior / self.coverage(windows), NEGLECTED))
+        fitted = self.settings.identify.first_state != "never"
+        return FirstStates.recorded(len(cost.clips.windows), cost.nx * fitted)
 
     def first_states(self, info: Information, dz: FloatArray) -> FirstStates:
         """Posterior of the clips' first states after a step of z (d,)."""

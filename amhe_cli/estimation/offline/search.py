@@ -153,7 +153,7 @@ def slopes_at(problem: Problem, state: SearchState) -> Linearisation:
         windows = problem.clips[:: max(1, len(problem.clips) // FEW)] if few else problem.clips
     cost = problem.cost(windows, state.scale)
     fitted = setting.first_state == "always" or (setting.first_state == "polish" and not exploring)
-    first = state.first or (problem.recorded(cost) if fitted else FirstStates.recorded(len(windows), 0))
+    first = state.first or FirstStates.recorded(len(windows), cost.nx * fitted)
     return problem.linearised(cost, state.z, first, state.shape, rng, straight=state.straight)
 
 

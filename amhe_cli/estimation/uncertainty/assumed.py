@@ -63,7 +63,7 @@ AS_WELL = 0.5
 #: Share of the largest variance below which a direction is rounding.
 RANK = 1e-6
 #: Pairs of samples over which a change is averaged where contacts jitter.
-PAIRS = 8
+PAIRS = 4
 #: States of the rollouts that are examined for what acts in them, about.
 EXAMINED = 1000
 

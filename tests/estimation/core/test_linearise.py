@@ -18,7 +18,6 @@ from amhe_cli.estimation.core.information import (
     information,
     marginalised,
     mean_squares,
-    negligible,
     noise_scale,
     weights,
 )
@@ -256,23 +255,3 @@ def test_weights_fall_with_outliers_noise_and_autocorrelation() -> None:
     np.testing.assert_allclose(weights(cost, residual, (1.0, 4.0), (9.0, 1.0))[:, :10], 1.0 / 9.0)
     residual[1, 3] = 300.0
     assert weights(cost, residual, (1.0, 1.0))[1, 3] == pytest.approx(0.01, rel=1e-3)
-
-
-def test_nuisances_are_taken_as_known_as_far_as_no_variance_of_z_falls_by_more_than_a_share() -> None:
-    rng = np.random.default_rng(0)
-    gz, gx = rng.standard_normal((3, 2, 40)), rng.standard_normal((3, 6, 40))
-    gx[:, 0] = 2.0 * gz[:, 0]  # looks as z does
-    gx[:, 1:5] *= 0.02  # a servo pulls it back
-    gx[:, 5] = 0.0
-    weight, prior = np.ones((3, 40)), np.eye(2)
-
-    def variance(errors: list[int]) -> FloatArray:
-        matrix = marginalised(np.zeros((3, 40)), gz, gx[:, errors], weight, np.zeros((3, len(errors)))).matrix
-        return np.linalg.inv(matrix.sum(axis=0) + prior)
-
-    known, every = negligible(gz, gx, weight, prior, 0.02), range(6)
-    assert known.tolist() == [False, True, True, True, True, True]
-    share = np.linalg.eigvals(np.linalg.solve(variance([0]), variance(list(every))))
-    assert 1.0 <= share.real.max() < 1.02
-    assert not negligible(gz, gx, weight, prior, 1e-9)[:5].any(), "what has no effect at all is known"
-    assert negligible(gz, gx, weight, 1e9 * prior, 0.02).all(), "the prior knows z"
