@@ -234,11 +234,13 @@ def _at_bound(space: ParameterSpace, evidence: Evidence, i: int) -> list[Reason]
 
 def _partners(space: ParameterSpace, evidence: Evidence, i: int) -> list[Reason]:
     """Whom a value trades places with, in the words that all of such a group share."""
-    row = np.abs(evidence.correlations[i])
-    names = tuple(name for j, name in enumerate(space.names) if j == i or row[j] > TOGETHER)
-    if len(names) == 1:
+    row = evidence.correlations[i]
+    others = [j for j in range(len(space)) if j != i and abs(row[j]) > TOGETHER]
+    if not others:
         return []
-    sizes = sorted({f"{row[j]:.2f}" for j, name in enumerate(space.names) if j != i and name in names})
-    size = " to ".join(dict.fromkeys((sizes[0], sizes[-1])))
-    text = f"known mostly together: {', '.join(names[:-1])} and {names[-1]} (correlation {size})"
-    return [Reason("together", names, float(sizes[-1]), text)]
+    names = tuple(space.names[j] for j in sorted((i, *others)))
+    most = np.abs(row[others]).max()
+    signed = f"correlation {row[others[0]]:+.2f}"
+    size = signed if len(others) == 1 else f"correlations up to {most:.2f} in size"
+    text = f"known mostly together: {', '.join(names[:-1])} and {names[-1]} ({size})"
+    return [Reason("together", names, float(most), text)]

@@ -228,7 +228,7 @@ def test_parameters_that_are_known_only_together_name_each_other_and_their_produ
     covariance = 0.05**2 * np.array([[1.0, -0.98, 0.0], [-0.98, 1.0, 0.0], [0.0, 0.0, 1.0]])
     found = verdicts(SPACE, evidence(covariance=covariance))
     assert (
-        texts(found[0]) == texts(found[1]) == ["known mostly together: mass and friction (correlation 0.98)"]
+        texts(found[0]) == texts(found[1]) == ["known mostly together: mass and friction (correlation -0.98)"]
     )
     assert texts(found[2]) == []
     assert found[0].reasons[0].parameters == ("mass", "friction")
