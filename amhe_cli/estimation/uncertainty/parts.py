@@ -21,16 +21,10 @@ import numpy as np
 from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
 from amhe_cli.core.log import Log
 from amhe_cli.estimation.core.agreement import beyond_chance, difference
-from amhe_cli.estimation.core.information import (
-    Information,
-    information,
-    remaining_noise_scale,
-    step_within,
-)
-from amhe_cli.estimation.core.linearise import FirstStates, bounded, within
+from amhe_cli.estimation.core.information import Information, information
 from amhe_cli.estimation.core.result import RunEstimate
 from amhe_cli.estimation.offline import search
-from amhe_cli.estimation.offline.problem import Problem, spread_floor
+from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.uncertainty.fit import LITTLE, FinalFit, Posterior, final_fit, posterior
 from amhe_cli.estimation.uncertainty.ledger import Source, Term, size
@@ -171,31 +165,16 @@ def _halves(joint: FinalFit, refitted: bool) -> Parts:
         return {name: _alone(joint, side=side) for name, side in zip(HALVES, (~late, late), strict=True)}
     straight = finding.shape if isinstance(finding, SearchState) and finding.straight else None
     halves = {}
-    for name, side in zip(HALVES, (~late, late), strict=True):
-        rows = np.flatnonzero(side)
+    for name, rows in zip(HALVES, (np.flatnonzero(~late), np.flatnonzero(late)), strict=True):
         part, recorded = problem.part(rows), joint.slopes.first.of(rows).forgotten
-        if part.non_smooth:
-            state = _beside(joint, side, recorded)
-        else:
-            state = search.restart(part, finding.z, straight)
-            for _ in range(REFITS):
-                state = search.advance(part, state)
+        state = search.restart(part, finding.z, straight, recorded if part.non_smooth else None)
+        for _ in range(REFITS - part.non_smooth):  # whose fit is a step of the search, too
+            state = search.advance(part, state)
         fit = final_fit(part, state)
         away = fit.z - finding.z  # a search that has settled ends with a step of the fit
         alone = posterior(away, fit.information, fit.weight, fit.posterior.prior)
         halves[name] = replace(alone, step=away + alone.step)
     return halves
-
-
-def _beside(joint: FinalFit, side: BoolArray, recorded: FirstStates) -> SearchState:
-    """Where the joint linearisation leads some of its clips alone, with the noise that they show."""
-    problem, alone, info = joint.problem, _alone(joint, side=side), joint.information
-    step = step_within(joint.z, alone.step, alone.hessian, joint.space)
-    covariance = 4.0 * within(alone.covariance, problem.alike)
-    shape = bounded(covariance, spread_floor(problem), problem.active, problem.alike)
-    own = side & (joint.weight > 0.0)
-    scale = remaining_noise_scale(joint.slopes.cost, info.residual, info.nuisance, own, joint.scale)
-    return SearchState("polish", 0, joint.z + step, shape, scale, first=recorded)
 
 
 def _second_half(problem: Problem) -> BoolArray:

@@ -290,7 +290,8 @@ def test_a_half_stands_where_its_fit_ends(monkeypatch: pytest.MonkeyPatch) -> No
     state = SimpleNamespace(z=np.ones(1))
     monkeypatch.setattr(module, "final_fit", fitted)
     monkeypatch.setattr(module, "_second_half", lambda _: np.arange(8) >= 4)
-    monkeypatch.setattr(module, "_beside", lambda *_: state)
+    monkeypatch.setattr(module.search, "restart", lambda *_: state)
+    monkeypatch.setattr(module.search, "advance", lambda *_: state)
     first = SimpleNamespace(of=lambda _: SimpleNamespace(forgotten=None))
     joint: Any = SimpleNamespace(
         problem=SimpleNamespace(part=lambda _: SimpleNamespace(non_smooth=True)),
