@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+import hashlib
 import json
 import logging
 import time
@@ -96,7 +97,10 @@ def main() -> None:
     numbers = [place(name, kind, seed) for seed in given.seeds for name in problems for kind in KINDS]
     lines = given.fits.read_text(encoding="utf-8").splitlines() if given.fits else ()
     fits = {one["seed"]: one for one in (json.loads(line) for line in lines if line.startswith('{"seed"'))}
-    done = in_parts("looks" if fits else "expected", functools.partial(trial, fits=fits), numbers, given)
+    if given.fits and (absent := set(numbers) - fits.keys()):
+        parser.error(f"--fits: {given.fits} lacks {len(absent)} of these fits")
+    name = f"looks-{hashlib.sha1(given.fits.read_bytes()).hexdigest()[:8]}" if given.fits else "expected"
+    done = in_parts(name, functools.partial(trial, fits=fits), numbers, given)
     problems = [name for name in problems if any(t["problem"] == name for t in done)]
     lines = [row(name, "", [t for t in done if t["problem"] == name]) for name in problems]
     lines += [row("all", kind, [t for t in done if t["kind"] == kind]) for kind in KINDS]

@@ -188,4 +188,4 @@ def _along(system: System, log: Log) -> Iterator[Doubt]:
     says = {"saturated": "it gives all its force", "contact": "they touch"}
     for (kind, where), count in often.items():
         if (share := count / len(states.qpos)) > _OFTEN:
-            yield kind, where, f"{says[kind]} {share:.0%} of the time", 1.0 + share
+            yield kind, where, f"{says[kind]} {share:.0%} of the time in {log.source}", 1.0 + share

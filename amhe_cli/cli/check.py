@@ -92,7 +92,7 @@ def check(session: Session, given: Given) -> int | None:
 
 
 def _compiled(path: Path, spec: Any) -> Any:
-    """The model; with the nearest possible inertia where MuJoCo takes none that no body has."""
+    """The model; with the mean of its moments for an inertia that no body has, which MuJoCo refuses."""
     import logging
 
     from amhe_cli.core.errors import ConfigError
@@ -105,7 +105,7 @@ def _compiled(path: Path, spec: Any) -> Any:
             raise
         where = re.search(r"Element name '([^']*)'", str(error))
     logging.getLogger(__name__).warning(
-        "%s: no body has the inertia of %s, which MuJoCo does not take; the nearest possible one is used",
+        "%s: no body has the inertia of %s, which MuJoCo does not take; here all its moments are their mean",
         path,
         where[1] if where else "a link",
     )

@@ -232,7 +232,7 @@ class AutoEngine:
         """A call of the processor, whose time shows what a step takes: cores differ by a factor of two."""
         begun = time.process_time()
         done = call(self._cpu)
-        if steps >= MEASURED:
+        if steps >= MEASURED and (self._opening.done or not self._opening.begun):  # else compilers count, too
             each = (time.process_time() - begun) / steps
             self._opening.core = min(each, self._opening.core or np.inf)
         return done

@@ -93,10 +93,7 @@ def auto() -> AutoEngine:
 
 
 def test_without_a_card_it_is_the_engine_of_the_processor_and_says_so(monkeypatch, caplog) -> None:
-    def none() -> list[str]:
-        raise SimulationError("no graphics card that CUDA can use; take the engine 'cpu'")
-
-    monkeypatch.setattr("amhe_cli.engine.gpu.visible.visible_cards", none)
+    monkeypatch.setattr("amhe_cli.engine.gpu.visible._driver", lambda: None)
     caplog.set_level(NOTE, "amhe_cli")
     assert isinstance(open_engine(PENDULUM, kind="auto"), CpuEngine)
     assert caplog.messages == ["the CPU computes all rollouts: no graphics card that CUDA can use"]

@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -242,6 +243,14 @@ def test_properties_of_an_inertia_are_those_of_its_body(with_target: Write) -> N
     (mass,) = (float(value) for name, value in values.items() if name.endswith("_mass"))
     assert mass == pytest.approx(system.model.body("hand").mass[0], rel=1e-5)
     assert len(values) == 10 and all(name.isidentifier() for name in values)
+
+
+def test_numbers_that_would_be_one_property_are_refused() -> None:
+    system = System.load("pendulum")
+    first, second, *others = system.space.parameters
+    alike = (replace(first, name="left-hip"), replace(second, name="left_hip"), *others)
+    with pytest.raises(ConfigError, match="two numbers would both be the property 'left_hip'"):
+        xacro_properties(replace(system, space=replace(system.space, parameters=alike)), system.space.nominal)
 
 
 def test_a_flange_that_is_none_is_refused() -> None:

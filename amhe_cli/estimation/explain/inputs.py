@@ -158,7 +158,6 @@ def mended(system: System, parts: Sequence[Window], rng: np.random.Generator) ->
         return None if left is None or left.mean() > 1.0 else np.add.reduceat(left, edges)
 
     start = np.add.reduceat(start, edges)
-    signs = rng.choice([-1.0, 1.0], (SIGNS, len(start)))
     found, gains = [], []
     for one in candidates:
         if (left := left_by(one.mend)) is None:
@@ -168,7 +167,8 @@ def mended(system: System, parts: Sequence[Window], rng: np.random.Generator) ->
         found.append(replace(one, share=1.0 - float(left.sum() / start.sum()), left=float(left.sum())))
     if not gains:
         return []
-    # what a glance has set aside was tried, too
+    # what a glance has set aside was tried, too: a lower level takes as many more signs to be seen
+    signs = rng.choice([-1.0, 1.0], (SIGNS * tried // len(gains), len(start)))
     chance = np.quantile(np.max(signs @ np.array(gains).T, axis=1), 1.0 - LEVEL * len(gains) / tried)
 
     def alone(one: Mended) -> bool:

@@ -43,6 +43,8 @@ _WAVES, _PASSED = np.unique(np.geomspace(3, 60, 40).round()), 1.5
 _STEPS, _PEAKS = 2000, 24
 #: Speeds, in shares of their rms, below which friction may rise.
 _SLOW = (0.1, 0.25, 0.5)
+#: Share of a free body's weight from which a constant force against it is what carries the body.
+_CARRIED = 0.2
 #: A range of angles [rad] in which a sine is more than a line.
 _CURVED = 0.5
 _GRAVITY = 9.81
@@ -117,6 +119,8 @@ def _constant(maker: CauseMaker, j: MeasuredDof, c: FloatArray, sd: FloatArray) 
     if c[0] * pull >= 0.0 or maker.found.forces.by[..., j.dof].any():
         return text
     weight = model.body_subtreemass[model.dof_bodyid[j.dof]] * abs(pull)
+    if abs(c[0]) < _CARRIED * weight:
+        return text
     return f"{text} against its weight of {weight:.3g} {j.f}: something carries it, such as a hand"
 
 

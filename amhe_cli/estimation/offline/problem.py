@@ -11,6 +11,7 @@ import numpy as np
 from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray, sealed, to_host
 from amhe_cli.core.log import Window
 from amhe_cli.core.settings import Settings
+from amhe_cli.engine.auto import AutoEngine
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine, cut
 from amhe_cli.engine.states import nearest, touching
@@ -255,7 +256,8 @@ class Problem:
         like this one moves at the prior's mean what it moves there.
         """
         d, cost = len(self.system.space), self.cost(self._some_clips)
-        if self.engine.precision > COARSE:
+        # cards that open between two of these calls would compute the later ones
+        if self.engine.precision > COARSE or isinstance(self.engine, AutoEngine):
             cost = cost.upon(open_engine(self.system, threads=self.threads))
         moved = {o.channel.key: np.zeros((d, o.width), dtype=bool) for o in cost.clips.observed}
         diverged, left = np.zeros(d, dtype=bool), np.arange(d)

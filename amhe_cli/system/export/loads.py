@@ -109,13 +109,21 @@ def xacro_properties(system: System, theta: FloatArray) -> str:
 
     Each parameter is one; of a body's inertia, its mass, centre of mass, and moments about it, in the axes of
     the body. Names are those of Python, which xacro reads: what is no letter or digit is an underscore.
+
+    Raises:
+        ConfigError: Two numbers would have one name.
     """
     named = zip(system.space.names, theta.tolist(), strict=True)
     values = {name: value for name, value in named if not inertia_of(name)}
     for body, numbers in system.edits.inertias(theta[None]):
         values |= {f"{body}.{name}": float(number[0]) for name, number in numbers.items()}
-    values = {re.sub(r"[^A-Za-z0-9]", "_", name): _number(value) for name, value in values.items()}
-    rows = [f"  <xacro:property name={quoteattr(n)} value={quoteattr(v)}/>" for n, v in values.items()]
+    names = [re.sub(r"^(?=\d)|[^A-Za-z0-9]", "_", name) for name in values]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise ConfigError(
+            f"two numbers would both be the property {twice[0]!r}: rename a parameter or a body"
+        )
+    pairs = zip(names, map(_number, values.values()), strict=True)
+    rows = [f"  <xacro:property name={quoteattr(n)} value={quoteattr(v)}/>" for n, v in pairs]
     head = '<?xml version="1.0"?>\n<robot xmlns:xacro="http://www.ros.org/wiki/xacro">'
     return "\n".join((head, *rows, "</robot>")) + "\n"
 
