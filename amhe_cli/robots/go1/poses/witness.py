@@ -167,7 +167,8 @@ class Witness:
         if not seen:
             return ""
         start, end = seen[0], seen[-1]
-        felt = [one for one in self._felt if start.time - 0.1 < one.time]
+        # by time: states that are suddenly older go back
+        felt = sorted((one for one in self._felt if start.time - 0.1 < one.time), key=lambda one: one.time)
         times, ways = np.array([one.time for one in felt]), np.array([one.place for one in felt])
         first, last = (_at(time, times, ways) for time in (start.time, end.time))
         places = np.array([one.position for one in seen])
