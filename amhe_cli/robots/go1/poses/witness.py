@@ -52,12 +52,16 @@ _RADII = sealed([_BUMPER_RADIUS] * len(_BUMPER) + [FOOT_RADIUS] * 4)
 
 
 class _Felt(NamedTuple):
-    """Pose of the trunk at a time [s] by legs and IMU, in a frame of its own, and its feet (4, 3)."""
+    """Pose of the trunk at a time [s] by legs and IMU in a frame of its own, feet (4, 3), how blind it is.
+
+    Blind is the sum of the cubes of the times without a state until then [s^3].
+    """
 
     time: float
     place: FloatArray
     turn: FloatArray
     feet: FloatArray
+    blind: float
 
 
 class Witness:
@@ -94,7 +98,10 @@ class Witness:
             heights = at @ upright
             self._step(time, rotate(turn, velocities[heights < heights.min() + _LANDED]))
             assert self._way is not None
-            self._felt.append(_Felt(time, self._way.value, turn, at))
+            last = self._felt[-1] if self._felt else _Felt(time, self._way.value, turn, at, 0.0)
+            # states may be lost in the middle of a block, too
+            step = max(time - last.time, np.diff(block["time"]).max(initial=0.0))
+            self._felt.append(_Felt(time, self._way.value, turn, at, last.blind + step**3))
 
     def see(self, body: str, time: float, pose: Pose) -> None:
         """Take in a pose of trunk or box in one frame, z upward; one older than the newest is left out."""
@@ -175,7 +182,8 @@ class Witness:
         began = felt[int(np.abs(times - start.time).argmin())]
         way = rotate(multiply(start.orientation, conjugate(began.turn)), last - first)
         off, span = (end.position - start.position - way)[:2], end.time - start.time
-        unfelt = _DRIVE**2 / 12.0 * (np.diff(times) ** 3).sum()  # between velocities that are known: a bridge
+        # between velocities that are known: a bridge
+        unfelt = _DRIVE**2 / 12.0 * np.ptp([one.blind for one in felt])
         sd = np.sqrt(2.0 * _noise(places) ** 2 + _OFFSET**2 + (_SLIP * span) ** 2 + unfelt)
         if np.linalg.norm(off) <= self._gate * sd:
             return ""

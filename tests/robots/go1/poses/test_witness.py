@@ -100,6 +100,14 @@ def test_a_way_through_lost_states_is_as_uncertain_as_it_is_long() -> None:
     assert "contradict" in walk.cycles(0.6)
 
 
+def test_states_that_are_lost_within_a_block_count_as_long_as_they_are() -> None:
+    witness, robot = Witness(6.0, 0.5, "go1", "box", SIZE), np.zeros(10, dtype=SAMPLE)
+    robot["time"] = 0.002 * np.arange(10) + 0.16 * (np.arange(10) > 6)
+    robot["joints"], robot["quaternion"] = HOME, LEVEL
+    witness.feel(robot)
+    assert witness._felt[-1].blind >= 0.16**3
+
+
 @pytest.mark.parametrize("noise", [0.002, 0.0])
 @pytest.mark.parametrize(
     ("body", "message"), [("go1", "cameras and legs contradict each other"), ("box", "cm inside the box")]
