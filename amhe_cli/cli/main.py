@@ -96,7 +96,8 @@ def main() -> None:
     # the work is done: a signal during Python's own clearing up must not turn a success into a failure
     for number in (signal.SIGINT, *TERMINATING):
         signal.signal(number, signal.SIG_IGN)
-    if any(thread.name == "opens cards" for thread in threading.enumerate()):
+    engine = sys.modules.get("amhe_cli.engine.auto")  # which is loaded where cards open
+    if engine and any(thread.name == engine.OPENING for thread in threading.enumerate()):
         # they compile, which nothing can stop: what the libraries clear up at the end is not theirs to see
         sys.stdout.flush()
         sys.stderr.flush()

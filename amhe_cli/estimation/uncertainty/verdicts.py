@@ -233,7 +233,7 @@ def _at_bound(space: ParameterSpace, evidence: Evidence, i: int) -> list[Reason]
 
 
 def _partners(space: ParameterSpace, evidence: Evidence, i: int) -> list[Reason]:
-    """Whom a value trades places with, in the words that all of such a group share."""
+    """Whom a value trades places with; of a pair, both have the same words."""
     row = evidence.correlations[i]
     others = [j for j in range(len(space)) if j != i and abs(row[j]) > TOGETHER]
     if not others:
