@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -50,14 +49,14 @@ def check(session: Session, given: Given) -> int | None:
     from amhe_cli.core.files import write_whole
     from amhe_cli.estimation.design.expected import expected
     from amhe_cli.report.check import check_page, expected_record, print_expected, print_findings
-    from amhe_cli.system.model.files import read_spec
+    from amhe_cli.system.model.files import compiled, read_spec
 
     if given.require and not given.logs:
         raise click.UsageError("--require is about what a log will tell: give a LOG")
     given.refuse_existing(given.page)
     path = model_file(given.model)
     session.listed = of_model = []
-    made = _compiled(path, read_spec(path, urdf_options(path, not given.no_meshes)))
+    made = compiled(read_spec(path, urdf_options(path, not given.no_meshes)), path.name)
     session.listed = None
     found, moved, hope, missed = [*check_model(made), *_read_with(path, of_model)], (), None, []
     if given.logs:
@@ -89,28 +88,6 @@ def check(session: Session, given: Given) -> int | None:
         for text in missed:
             console.print(f"not reached: {text}", style="yellow")
     return LOSSY if missed else None
-
-
-def _compiled(path: Path, spec: Any) -> Any:
-    """The model; with the mean of its moments for an inertia that no body has, which MuJoCo refuses."""
-    import logging
-
-    from amhe_cli.core.errors import ConfigError
-    from amhe_cli.system.model.files import compiled
-
-    try:
-        return compiled(spec, path.name)
-    except ConfigError as error:
-        if "balanceinertia" not in str(error):
-            raise
-        where = re.search(r"Element name '([^']*)'", str(error))
-    logging.getLogger(__name__).warning(
-        "%s: no body has the inertia of %s, which MuJoCo does not take; here all its moments are their mean",
-        path,
-        where[1] if where else "a link",
-    )
-    spec.compiler.balanceinertia = True
-    return compiled(spec, path.name)
 
 
 def _read_with(path: Path, texts: Sequence[str]) -> Iterator[Finding]:

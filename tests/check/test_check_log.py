@@ -18,6 +18,8 @@ from amhe_cli.check.motion import JointMotion, log_findings, motions
 from amhe_cli.cli.check import _recorded
 from amhe_cli.cli.main import run
 from amhe_cli.estimation.design.expected import Expected, expected
+from amhe_cli.init.folder import proposed
+from amhe_cli.system.model.files import compiled
 
 ROOT = Path(__file__).parents[2]
 LOG = ROOT / "examples" / "logs" / "pendulum.mcap"
@@ -304,15 +306,31 @@ def test_the_makers_gains_of_a_real_arm_are_doubted(capsys: pytest.CaptureFixtur
     assert "0.19 degrees of error already take all of its force" in record["findings"][0]["what"]
 
 
+@pytest.mark.parametrize("inertia", ['diaginertia="1e-3 1e-3 9e-3"', 'fullinertia="1e-3 5e-3 5e-3 0 0 4e-3"'])
 def test_an_inertia_that_mujoco_refuses_is_a_finding(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    inertia: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    inertial = '<inertial pos="0 0 0" mass="1" diaginertia="1e-3 1e-3 9e-3"/>'
-    body = f'<body name="arm">{inertial}<joint damping=".1" armature=".1" frictionloss=".1"/></body>'
-    (tmp_path / "arm.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
-    assert run(["check", str(tmp_path / "arm.xml"), "--json"]) == 0
-    (first,) = json.loads(capsys.readouterr().out)["findings"]
-    assert first["what"].startswith("no body has the inertia of arm")
+    inertial = f'<inertial pos="0 0 0" mass="1" {inertia}/>'
+    body = f'<body name="arm">{inertial}<joint name="j" damping=".1" armature=".1" frictionloss=".1"/></body>'
+    motor = '<actuator><motor name="j" joint="j"/></actuator>'
+    file, log = tmp_path / "arm.xml", tmp_path / "log.csv"
+    file.write_text(f"<mujoco><worldbody>{body}</worldbody>{motor}</mujoco>")
+    times = np.arange(0.0, 3.0, 0.01)
+    table, head = np.column_stack((times, np.sin(times), np.sin(times))), "time,position_j,command_effort_j"
+    np.savetxt(log, table, delimiter=",", header=head, comments="")
+    nothing = Expected((), (), (), {}, 0.0)
+    monkeypatch.setattr("amhe_cli.estimation.design.expected.expected", lambda *_: nothing)
+    for logs in ([], [str(log)]):
+        assert run(["check", str(file), *logs, "--json"]) == 0
+        whats = [one["what"] for one in json.loads(capsys.readouterr().out)["findings"]]
+        assert [what for what in whats if "inertia" in what] == [
+            "no body has the inertia of arm; the nearest possible one is used"
+        ]
+    # audits and identifications of a bare model begin with this, too
+    model = compiled(proposed(file, [log]).spec)
+    second = 0.5 * model.body("arm").inertia.sum() - model.body("arm").inertia
+    assert np.sort(second)[0] == pytest.approx(1e-6, rel=1e-3), "a thin plate, no more changed than needed"
+    assert np.sort(second)[1:] == pytest.approx([4.5e-3, 4.5e-3], rel=1e-3)
 
 
 def test_a_urdf_is_checked_too(
@@ -332,7 +350,7 @@ def test_a_urdf_is_checked_too(
     (tmp_path / "arm.urdf").write_text(impossible)
     assert run(["check", str(tmp_path / "arm.urdf"), "--json"]) == 0
     first = json.loads(capsys.readouterr().out)["findings"][0]
-    assert first["kind"] == "file" and first["what"].startswith("no body has the inertia of link")
+    assert first["kind"] == "file" and first["what"].startswith("no body has the inertia of base, arm")
     times = np.arange(0.0, 3.0, 0.01)
     table, head = np.column_stack((times, np.sin(times), np.sin(times))), "time,position_j,command_position_j"
     np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=head, comments="")

@@ -169,7 +169,7 @@ def test_an_inertia_that_no_body_has_becomes_the_nearest_one(
     # second moments (izz + iyy - ixx) / 2 and so on: 0.045, 0.035, -0.015, of which the last becomes 2e-6
     assert np.sort(model.body("upper").inertia) == pytest.approx([0.035, 0.045, 0.08], abs=1e-5)
     assert np.sort(model.body("lower").inertia) == pytest.approx([0.02, 0.03, 0.04])
-    assert "no body has the inertia of link upper;" in caplog.text
+    assert "no body has the inertia of upper;" in caplog.text
 
 
 def test_meshes_that_are_not_closed_are_no_obstacle(tmp_path: Path) -> None:

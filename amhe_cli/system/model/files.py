@@ -14,7 +14,14 @@ import numpy as np
 
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.system.model.cost import check_model
-from amhe_cli.system.model.urdf import UrdfOptions, is_urdf, urdf_text
+from amhe_cli.system.model.urdf import (
+    INERTIA,
+    UrdfOptions,
+    is_urdf,
+    possible_inertia,
+    report_mended,
+    urdf_text,
+)
 
 logger = logging.getLogger(__name__)
 
@@ -36,7 +43,9 @@ def read_spec(path: Path, urdf: UrdfOptions | None = None) -> mujoco.MjSpec:
     if not is_urdf(path):
         check_model(path)
         with reading:
-            return mujoco.MjSpec.from_file(str(path.absolute()))  # its meshes are found from any folder
+            spec = mujoco.MjSpec.from_file(str(path.absolute()))  # its meshes are found from any folder
+        report_mended(path, _mended(spec))
+        return spec
     text, bare = urdf_text(path, urdf or UrdfOptions())
     with reading:
         spec = mujoco.MjSpec.from_string(text)
@@ -47,6 +56,27 @@ def read_spec(path: Path, urdf: UrdfOptions | None = None) -> mujoco.MjSpec:
         _add_boxes(spec, bare)
     _exclude_overlaps(spec, path.name)
     return spec
+
+
+def _mended(spec: mujoco.MjSpec) -> list[str]:
+    """Give bodies of an MJCF whose inertia MuJoCo refuses the nearest possible one; their names."""
+    of_shapes = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    found, places = [], tuple(np.transpose([*INERTIA.values()]))
+    for body in () if of_shapes or spec.compiler.balanceinertia else spec.bodies:
+        given, whole = np.diag(body.inertia), not np.isnan(body.fullinertia[0])
+        if whole:
+            given[places] = given.T[places] = body.fullinertia
+        if not (body.explicitinertial and np.isfinite(given).all()):
+            continue
+        least, middle, most = np.linalg.eigvalsh(given)
+        if least < 0.0 or least + middle < most:
+            inertia, _ = possible_inertia(given, float(body.mass))
+            if whole:
+                body.fullinertia = inertia[places]
+            else:
+                body.inertia = inertia.diagonal()
+            found.append(body.name or "a body")
+    return found
 
 
 def _add_boxes(spec: mujoco.MjSpec, links: Sequence[str]) -> None:

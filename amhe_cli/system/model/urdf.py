@@ -7,7 +7,7 @@ for a mesh by its base name only, beside the file. Here each mesh gets its absol
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import unquote
@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.limits import limits
 from amhe_cli.system.model.cost import check_elements, check_size
@@ -159,20 +160,12 @@ def urdf_text(path: Path, options: UrdfOptions) -> tuple[str, list[str]]:
         mended = [link.get("name", "") for link in root.iter("link") if _mended(link)]
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
-    if mended:
-        logger.warning(
-            "%s: no body has the inertia of link %s; the nearest possible one is used",
-            path,
-            ", ".join(mended),
-        )
+    report_mended(path, mended)
     return ElementTree.tostring(root, encoding="unicode"), bare
 
 
 def _mended(link: ElementTree.Element) -> bool:
     """Replace an inertia that no body can have, which MuJoCo refuses; whether that matters.
-
-    The second moments of a body's mass along its principal axes are not negative: those of tr(I) / 2 - I.
-    They are raised to those of a small cube.
 
     Raises:
         ConfigError: Its mass or inertia is no finite number.
@@ -189,11 +182,28 @@ def _mended(link: ElementTree.Element) -> bool:
         raise ConfigError(f"link {link.get('name', '')!r}: its inertial: {error}") from None
     if not np.isfinite([mass, *inertia.ravel()]).all():
         raise ConfigError(f"link {link.get('name', '')!r}: its mass or inertia is not finite")
-    moments, axes = np.linalg.eigh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
+    mended, moments = possible_inertia(inertia, mass)
     if moments[0] > 1e-9 * moments[2]:
         return False
-    raised = np.maximum(moments, max(1e-6 * mass, 1e-12)) if mass > 0.0 else np.zeros(3)
-    inertia = raised.sum() * np.eye(3) - (axes * raised) @ axes.T
     for name, place in INERTIA.items():
-        element.set(name, repr(float(inertia[place])))
+        element.set(name, repr(float(mended[place])))
     return mass > 1e-3 and bool(moments[0] < -1e-3 * np.abs(moments).max())
+
+
+def possible_inertia(inertia: FloatArray, mass: float) -> tuple[FloatArray, FloatArray]:
+    """The nearest inertia (3, 3) that a body of some mass [kg] can have, to one that none can [kg m^2].
+
+    The second moments of a body's mass along its principal axes are not negative: those of tr(I) / 2 - I.
+    They are raised to those of a small cube. Those of the given one are returned, too, (3,), the least first.
+    """
+    moments, axes = np.linalg.eigh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
+    raised = np.maximum(moments, max(1e-6 * mass, 1e-12)) if mass > 0.0 else np.zeros(3)
+    return raised.sum() * np.eye(3) - (axes * raised) @ axes.T, moments
+
+
+def report_mended(path: Path, names: Sequence[str]) -> None:
+    """Warn of bodies whose inertia no body has."""
+    if names:
+        logger.warning(
+            "%s: no body has the inertia of %s; the nearest possible one is used", path, ", ".join(names)
+        )
