@@ -24,6 +24,7 @@ from amhe_cli.audit.judge import (
 )
 from amhe_cli.audit.suspects import (
     HOPELESS,
+    MORE,
     Explanation,
     Searched,
     findings_of,
@@ -43,7 +44,7 @@ from amhe_cli.core.statistics import correlation
 from amhe_cli.core.yaml_file import merged
 from amhe_cli.estimation.conclude import Search
 from amhe_cli.estimation.core.result import Against, Identification, Iteration, ParameterResult
-from amhe_cli.estimation.identification import IdentifyOptions, concluded, searched_for
+from amhe_cli.estimation.identification import IdentifyOptions, concluded, ended, searched_for
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.init.folder import Proposal
 from amhe_cli.system.system import System
@@ -187,7 +188,8 @@ def audit(
             search, wrong = without_suspects(again, claims, wrong, search, seen=seen)
     assert search is not None
     look = again if proposal.match == "effort" else partial(searched, _LOOK, None, False)
-    found, judgement, at = _concluded(again, look, Explanation(search, wrong, claims), seen)
+    first = Explanation(ended(search, MORE), wrong, claims)
+    found, judgement, at = _concluded(again, look, first, seen)
     system = at.search.problem.system
     lines = _lines(system, found, claims, judgement, logs)
     return Audit(tuple(lines), system, found, tuple(claims), proposal)
@@ -256,10 +258,10 @@ def _judgement(
     at = space.phi_of(found.belief.estimate)
     evidence = findings_of(space, at, found.unbounded, found.information, found.belief.covariance)
     wider, tests = _wider(found), []
-    odds = _once({first: 0.0} | {one: one.against(first, wider) for one in others})
-    evidence = evidence.under_noise(wider)
+    odds = _once({first: 0.0} | {one: one.odds(first, wider) for one in others})
+    evidence = evidence.under_noise(wider).unsure(first.to_go[0])
     for one in odds:
-        findings = evidence if one is first else one.evidence.under_noise(wider)
+        findings = evidence if one is first else one.evidence.under_noise(wider).unsure(one.to_go[0])
         system = one.search.problem.system
         sheets, rows = sheets_of(findings, system, one.claims), rows_of(system, one.claims)
         sets = wrong_sheets(findings, sheets, one.wrong)

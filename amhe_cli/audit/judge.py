@@ -39,7 +39,7 @@ contradicted at 5 %, and so the share of such verdicts that are wrong.
 from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import erfc, sqrt
 from typing import Generic, TypeVar
 
@@ -99,6 +99,10 @@ class Findings:
         return Findings(
             known @ (score + precision @ self.prior[0]), self.prior, information, covariance, self.at
         )
+
+    def unsure(self, way: FloatArray) -> Findings:
+        """The same, where the estimate may be off by a way (d,), too."""
+        return replace(self, covariance=self.covariance + np.outer(way, way))
 
     def score(self) -> FloatArray:
         """Information times what the logs alone would say, shape (d,)."""

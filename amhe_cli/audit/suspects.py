@@ -21,11 +21,12 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.estimation.conclude import Search
 from amhe_cli.estimation.core.information import clip_objectives
+from amhe_cli.estimation.identification import ended
 from amhe_cli.estimation.offline.clips import places
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.uncertainty.fit import FinalFit, scored
-from amhe_cli.estimation.uncertainty.misfit import unexplained
+from amhe_cli.estimation.uncertainty.misfit import still_moving, unexplained
 from amhe_cli.system.system import System
 
 #: Searches until no more number stands out, at most.
@@ -33,6 +34,8 @@ _ROUNDS = 8
 #: Where a data sheet may be wrong by more than slopes show, in units of `Claim.wide`, and the share by which
 #: the cost must fall there.
 _FAR, _FALLS = (-2.0, -1.0, 1.0, 2.0), 0.1
+#: A search that has to end, to judge by it, may have so many times its iterations more.
+MORE = 3
 #: Logarithm of the odds of an explanation below which it changes no verdict.
 HOPELESS = -10.0
 
@@ -59,6 +62,31 @@ class Explanation:
     def evidence(self) -> Findings:
         """What the logs say, as they look from there."""
         return sketched(self.search)
+
+    @cached_property
+    def to_go(self) -> tuple[FloatArray, float]:
+        """How far a search that stopped on its way may go, and the log likelihood that it may gain.
+
+        Both are what it went, (d,) on the parameters' scales, and gained in the later half of its iterations:
+        so much is left where half of the iterations leave half of the way.
+        """
+        fit, space = self.search.fit, self.search.problem.system.space
+        record = [one for one in fit.finding.record if one.stage == "polish"]
+        if not (record and still_moving(fit)):
+            return np.zeros_like(fit.z), 0.0
+        half, last = record[(len(record) - 1) // 2], record[-1]
+        independent = float(fit.slopes.cost.clips.counts.sum()) / max(fit.times)
+        gained = 0.5 * independent * float(np.log(half.cost / max(last.cost, 1e-300)))
+        return space.phi_of(space.theta_of(fit.z)) - space.phi_of(np.array(half.theta)), max(gained, 0.0)
+
+    def odds(self, first: Explanation, wider: float = 1.0) -> float:
+        """As `against`, but a search that has not ended excludes no more than it will where it ends."""
+        now = self.against(first, wider)
+        return max(now, min(now + self.to_go[1] / wider**2, 0.0))
+
+    def hopeless(self, first: Explanation, wider: float) -> bool:
+        """Whether its values change no verdict, whatever sheets were wrong."""
+        return self.against(first, wider, least=True) + self.to_go[1] / wider**2 < HOPELESS
 
     @cached_property
     def sheets(self) -> Sheets[Group]:
@@ -98,16 +126,19 @@ class Explanation:
         near = replace(self.search, finding=replace(self.search.finding, z=space.clip(at), straight=False))
         free = frozenset(self.sheets.groups) - believed
         other = Explanation(_ended(looked(free, near)), free, self.claims)
-        if other.against(self, wider, least=True) < HOPELESS:
-            return other.search, None
+        if other.hopeless(self, wider):  # as it looks on its way
+            other = Explanation(_ended(ended(other.search, MORE)), free, self.claims)
+            if other.hopeless(self, wider):
+                return other.search, None
         few = next(iter(wrong_sheets(other.evidence, other.sheets, right=believed)))
         search, wrong = without_suspects(searched, self.claims, few, other.search, believed)
-        return _ended(search), Explanation(search, wrong, self.claims)
+        search = _ended(ended(search, MORE))
+        return search, Explanation(search, wrong, self.claims)
 
     def widened(self, searched: Searched, seen: list[Explanation]) -> Explanation:
         """The explanation from here, with any sheet open; `seen`: gets what else was searched on the way."""
         search, wrong = without_suspects(searched, self.claims, self.wrong, self.search, seen=seen)
-        return Explanation(_ended(search), wrong, self.claims)
+        return Explanation(_ended(ended(search, MORE)), wrong, self.claims)
 
 
 def _misfit(fit: FinalFit, of: Search, few: Problem | None) -> float:

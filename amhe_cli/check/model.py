@@ -243,7 +243,7 @@ def _limits(model: mujoco.MjModel, joints: IntArray) -> Iterator[Doubt]:
             yield "weak", name, carries, float(weight / limit)
         error = max(limit, 0.0) / gear / max(stiffness, 1e-9)
         hinge = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
-        takes = f"{np.degrees(error):.2g} degrees of error already take all of its force"
+        takes = f"{np.degrees(error):.2g} degrees of error already take all of the force"
         yield "stiff", name, takes, hinge * _SATURATES / max(error, 1e-12)
         if stiffness and model.actuator_ctrllimited[row] and model.jnt_limited[joint]:
             span, per = max(np.ptp(model.jnt_range[joint]), 1e-6), model.actuator_gainprm[row, 0] / stiffness

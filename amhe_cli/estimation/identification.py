@@ -34,6 +34,7 @@ from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.offline.watch import OnIteration, Watch
 from amhe_cli.estimation.uncertainty.fit import Finding
+from amhe_cli.estimation.uncertainty.misfit import still_moving
 from amhe_cli.matching.motion import velocity_lag
 from amhe_cli.system.parameters.inertia import inertia_of
 from amhe_cli.system.system import System
@@ -133,7 +134,8 @@ def searched_for(
     problem, validation = _pose(system, training, held_out, options)
     problem = replace(problem, enough=enough, like=near and near.problem)
     if clips is not None:
-        problem = replace(problem, only=tuple(evenly(problem.usable, clips)))
+        some = tuple(evenly(problem.usable, clips))
+        problem = replace(problem, only=some, others=len(problem.usable) - len(some))
         validation = evenly(validation, clips)
     kept = Checkpoint(options.checkpoint, problem, options.method)
     kept.load()  # one of another problem is refused before any work
@@ -154,6 +156,24 @@ def searched_for(
     unsaved = Checkpoint(None, problem, options.method)
     finding = _search(problem, options.method, watch, unsaved, apart.again(problem))
     return Search(problem, finding, validation, watch, model, without=apart)
+
+
+def ended(stopped: Search, most: int) -> Search:
+    """A search that goes on until it has ended, by at most so many times its iterations."""
+    for _ in range(most):
+        if stopped.watch.interrupted or not still_moving(stopped.fit):
+            break
+        begin = stopped.finding
+        assert isinstance(begin, SearchState)
+        begin = replace(begin, stage="polish", number=search.ROUGHLY)  # with all clips
+        before, unsaved = len(begin.record) - begin.number, Checkpoint(None, stopped.problem, METHODS[0])
+        finding = _run(
+            search.advance,
+            lambda problem, state, before=before: before + search.total(problem, state),
+            stopped.problem, begin, stopped.watch, unsaved,
+        )  # fmt: skip
+        stopped = replace(stopped, finding=finding)
+    return stopped
 
 
 def _of_all(problem: Problem, logs: Sequence[Log]) -> Problem:

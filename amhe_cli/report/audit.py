@@ -43,27 +43,27 @@ def audit_table(lines: Sequence[Line]) -> Table:
             (
                 "" if same else line.of, line.what,
                 f"{line.verdict}: {abs(line.t):.1f} sd" if judged else line.verdict,
-                f"{line.file:.4g}", numbers.with_sd(line.log, line.sd) if says else numbers.MISSING,
-                numbers.unit_of(line.unit),
+                numbers.quantity(f"{line.file:.4g}", line.unit),
+                numbers.with_sd(line.log, line.sd) if says else numbers.MISSING,
                 numbers.percent(line.weight) if wrong else "",
             )
         )  # fmt: skip
-    head = ("part", "number", "verdict", "in the file", "in the log", "unit", "of the forces")
-    return Table(head, ("", "", VERDICT, NUMBER, STRONG, "", NUMBER), rows, [line.cure for line in lines])
+    head = ("part", "number", "verdict", "in the file", "in the log", "of the forces")
+    return Table(head, ("", "", VERDICT, NUMBER, STRONG, NUMBER), rows, [line.cure for line in lines])
 
 
 def beside_table(found: Sequence[ParameterResult]) -> Table:
     """What was identified beside the file's numbers."""
     rows = [
         (
-            one.name, one.verdict, numbers.with_sd(one.prior, one.prior_sd),
-            numbers.with_sd(one.estimate, one.sd), numbers.unit_of(one.unit),
+            one.name, one.verdict, numbers.quantity(numbers.with_sd(one.prior, one.prior_sd), one.unit),
+            numbers.with_sd(one.estimate, one.sd),
         )
         for one in found
     ]  # fmt: skip
     return Table(
-        ("beside the file", "verdict", "assumed", "in the log", "unit"),
-        ("", VERDICT, NUMBER, STRONG, ""),
+        ("beside the file", "verdict", "assumed", "in the log"),
+        ("", VERDICT, NUMBER, STRONG),
         rows,
     )
 
@@ -79,6 +79,7 @@ def audit_text(lines: Sequence[Line], found: Audit | None, out: object = None) -
     yield count_text(lines)
     if found is not None:
         yield from _against(found.found)
+        yield from _compared(found.found)
         yield f"held-out: {held_out_line(found.found.held_out)}"
     if out is not None:
         yield f"report: {out}/report.html"
@@ -96,7 +97,16 @@ def _against(found: Identification) -> Iterator[str]:
     if found.interrupted:
         yield "the search was interrupted: these are the best values so far"
     elif not found.settled:
-        yield "the search stopped before it settled, and numbers may move: give it more `identify.iterations`"
+        yield (
+            "the search stopped before it settled, and every sd has as much of its way again: more "
+            "`identify.iterations` narrow it"
+        )
+
+
+def _compared(found: Identification) -> Iterator[str]:
+    """That some clips stand for all of long logs."""
+    if found.clips.thinned:
+        yield f"of these logs {found.clips.fitted_of} were compared, spread evenly over them"
 
 
 def count_text(lines: Sequence[Line]) -> str:
@@ -208,7 +218,8 @@ def _page(found: Audit, model: Path, record: Mapping[str, Any], origin: Mapping[
             "The numbers of the file",
             text="In the log: what it says of a number whatever the file says of it, with all other numbers "
             "as their data sheets have them. Contradicted: 5 % of right files have such a verdict by chance. "
-            "Of the forces: what the difference is worth, as a share of the joints' forces along the motion.",
+            "Of the forces: what the difference is worth, as a share of the joints' forces along the motion."
+            + "".join(f" {text[0].upper()}{text[1:]}." for text in _compared(found.found)),
             table=audit_table([line for line in found.lines if line not in untold]),
         ),
         *[rest] * bool(untold),

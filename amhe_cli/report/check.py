@@ -139,7 +139,8 @@ def check_page(
         if known := _together(hope):
             sections.append(Section("Known together only", items=known))
     sections.append(Section("How it was made", items=[command], files=True, folded=True))
-    headline = f"{_doubts(len(found))}." if found else "Nothing that a robot could not have."
+    of = ("the model",) if hope is None else ()
+    headline = f"{_doubts(len(found), *of)}." if found else "Nothing that a robot could not have."
     return page("check", title=name, facts=facts, headline=headline, statements=statements, sections=sections)
 
 
@@ -160,8 +161,8 @@ def expected_record(hope: Expected, moved: Sequence[JointMotion], missed: Sequen
     }
 
 
-def _doubts(count: int) -> str:
-    return f"{count} doubt{'s' * (count != 1)} about model and logs"
+def _doubts(count: int, of: str = "model and logs") -> str:
+    return f"{count} doubt{'s' * (count != 1)} about {of}"
 
 
 def _table(rows: Any) -> Table:

@@ -219,6 +219,61 @@ def test_an_interruption_of_a_second_explanation_ends_the_audit() -> None:
         first.rival(lambda *_: searching(False), lambda *_: searching(True), ("arm", "mass"), 1.0)
 
 
+@pytest.mark.parametrize("later", [-1.0, -50.0])
+def test_a_search_that_has_not_ended_goes_on_before_it_excludes_anything(
+    later: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    space = SimpleNamespace(
+        phi_of=np.asarray, nominal=np.zeros(1), prior_sd=np.ones(1), clip=np.asarray, names=("mass",)
+    )
+
+    def searching(odds: float) -> Any:
+        found = Searching(Found(np.full(1, odds)), SimpleNamespace(), SimpleNamespace(interrupted=False))
+        found.problem.system = SimpleNamespace(space=space)
+        return found
+
+    first, stopped, went_on = (
+        suspects.Explanation(searching(v), frozenset(), []) for v in (0.0, -50.0, later)
+    )
+    sheets = SimpleNamespace(groups={("arm", "mass"): [0]}, file=np.zeros(1))
+    for name, stub in (
+        ("against", lambda self, *_, **__: self.search.finding.z[0]), ("to_go", (np.zeros(1), 0.0)),
+        ("sheets", sheets), ("evidence", None),
+    ):  # fmt: skip
+        monkeypatch.setattr(suspects.Explanation, name, stub)
+    monkeypatch.setattr(suspects, "wrong_sheets", lambda *_, **__: [frozenset()])
+    monkeypatch.setattr(suspects, "without_suspects", lambda *given: (given[3], given[2]))
+    monkeypatch.setattr(suspects, "ended", lambda search, most: went_on.search)
+    search, other = first.rival(lambda *_: stopped.search, lambda *_: stopped.search, ("arm", "mass"), 1.0)
+    assert search is went_on.search
+    assert (other is None) == (later < suspects.HOPELESS), "only where it ended shows what it explains"
+
+
+def test_what_a_search_that_stopped_may_still_gain_counts_for_its_explanation(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    space = SimpleNamespace(phi_of=np.log, theta_of=np.exp)
+    record = [
+        SimpleNamespace(stage="polish", cost=cost, theta=(theta,))
+        for cost, theta in ((8.0, 9.0), (4.0, 8.0), (3.0, 4.0), (2.0, 2.0))
+    ]
+    clips = SimpleNamespace(counts=np.array([30, 10]))
+    fit = SimpleNamespace(
+        finding=SimpleNamespace(record=record), z=np.log([2.0]), times=(1.0, 4.0),
+        slopes=SimpleNamespace(cost=SimpleNamespace(clips=clips)),
+    )  # fmt: skip
+    search: Any = SimpleNamespace(fit=fit, problem=SimpleNamespace(system=SimpleNamespace(space=space)))
+    gained = 0.5 * 10.0 * np.log(2.0)  # of ten independent numbers
+    for moving, way, gain in (("a mass", np.log(0.25), gained), ("", 0.0, 0.0)):
+        monkeypatch.setattr(suspects, "still_moving", lambda _, moving=moving: moving)
+        one = suspects.Explanation(search, frozenset(), [])
+        assert one.to_go[0] == pytest.approx([way]) and one.to_go[1] == pytest.approx(gain)
+        for now, wider in ((-20.0, 1.0), (-20.0, 2.0), (-1.0, 1.0), (3.0, 1.0)):
+            monkeypatch.setattr(suspects.Explanation, "against", lambda *_, now=now: now)
+            assert one.odds(one, wider) == pytest.approx(max(now, min(now + gain / wider**2, 0.0)))
+    monkeypatch.undo()
+
+
 @pytest.mark.parametrize("wider", [1.0, 2.0])
 def test_wider_noise_makes_less_of_a_misfit_and_leaves_the_odds_of_sheets(
     monkeypatch: pytest.MonkeyPatch, wider: float

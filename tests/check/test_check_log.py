@@ -303,7 +303,7 @@ def test_the_makers_gains_of_a_real_arm_are_doubted(capsys: pytest.CaptureFixtur
     assert run(["check", str(SO101), "--strict", "--json"]) == 3
     record = json.loads(capsys.readouterr().out)
     assert [one["kind"] for one in record["findings"]] == ["stiff"]
-    assert "0.19 degrees of error already take all of its force" in record["findings"][0]["what"]
+    assert "0.19 degrees of error already take all of the force" in record["findings"][0]["what"]
 
 
 @pytest.mark.parametrize("inertia", ['diaginertia="1e-3 1e-3 9e-3"', 'fullinertia="1e-3 5e-3 5e-3 0 0 4e-3"'])

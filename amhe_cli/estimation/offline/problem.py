@@ -68,6 +68,7 @@ class Problem:
         engine: Engine of the rollouts.
         seed: Seed of every random draw.
         only: Fit these clips alone, a part of the problem.
+        others: Usable clips beside `only`, for which these stand.
         whole: The problem of which this is a part: what moves what is the same.
         threads: Number of CPU threads, for what a coarse engine cannot decide.
         share: How often what the logs say counts: 0.5 where the prior has a half of it already.
@@ -80,6 +81,7 @@ class Problem:
     engine: Engine
     seed: int
     only: tuple[Window, ...] = ()
+    others: int = 0
     whole: Problem | None = None
     threads: int = 1
     share: float = 1.0
@@ -152,7 +154,7 @@ class Problem:
     @property
     def thinned(self) -> int:
         """Usable clips that are left out because there are many."""
-        return len(self.usable) - len(self.clips)
+        return len(self.usable) + self.others - len(self.clips)
 
     @cached_property
     def clip_count(self) -> int:
