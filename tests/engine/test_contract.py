@@ -117,33 +117,32 @@ def test_rollouts_do_not_depend_on_their_company(opened: Open) -> None:
 
 
 @pytest.mark.parametrize("reset", [True, False], ids=["reset", "no reset"])
-@pytest.mark.parametrize("speed", [1e12, 1e300, np.nan])
-def test_a_diverged_rollout_is_marked_and_finite(opened: Open, speed: float, reset: bool) -> None:
+def test_a_diverged_rollout_is_marked_and_finite(opened: Open, reset: bool) -> None:
     """A model may switch off MuJoCo's reset of bad states, which then stay in the records."""
     model = copy.copy(PENDULUM.model)
     if not reset:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     theta, qpos, qvel, inputs, _ = some()
-    qvel[1] = speed
+    qvel[[1, 5, 9]] = speeds = np.array([[1e12], [1e300], [np.nan]])
     engine = opened(PENDULUM, model=model)
     done = engine.rollout(theta, qpos, qvel, inputs, np.full(20, 40))
-    assert (~done.completed).nonzero()[0].tolist() == [1]
+    assert (~done.completed).nonzero()[0].tolist() == [1, 5, 9]
     assert np.isfinite(done.qpos).all()
     assert np.isfinite(done.qvel).all()
-    qvel[1] = 0.0
+    qvel[[1, 5, 9]] = 0.0
     again, fresh = (e.rollout(theta, qpos, qvel, inputs, np.full(20, 40)) for e in (engine, opened(PENDULUM)))
     assert again.completed.all(), "nothing is left of it"
     np.testing.assert_array_equal(again.qpos, fresh.qpos)
-    starts, wanted = clips(PENDULUM)
-    starts.qvel[2] = speed
+    starts, wanted = clips(PENDULUM, 5)
+    starts.qvel[2:] = speeds
     predicted = engine.predict(theta[:3], starts, None, wanted)
-    assert predicted.completed.tolist() == 3 * [[True, True, False]]
+    assert predicted.completed.tolist() == 3 * [[True, True, False, False, False]]
     assert all(np.isfinite(to_host(values)).all() for values in predicted.values)
 
 
 def test_parameters_reach_the_model_with_all_that_follows_from_them(opened: Open) -> None:
     """A cube that slides at v stops after v^2 / (2 mu g), whatever its mass."""
-    speed, steps = 1.0, 700
+    speed, steps = 0.5, 350
     mu = np.array([0.2, 0.4, 0.4])
     theta = np.tile(CUBE.space.nominal, (3, 1))
     theta[:, CUBE.space.names.index("friction")] = mu
@@ -167,24 +166,20 @@ def test_predictions_are_picked_from_the_rollouts_of_every_candidate_on_every_cl
     plain, moved = engine.predict(theta, starts, None, wanted), engine.predict(theta, starts, errors, wanted)
     assert [values.shape for values in moved.values] == [(5, c, 7, 7), (5, c, 7, 1)]
     assert moved.completed.shape == (5, c)
-    for i in range(5):
-        for j in range(c):
-            tangent = np.zeros(2 * nv)
-            for predicted, error in ((plain, 0.0 * errors[i, j]), (moved, errors[i, j])):
-                tangent[starts.first_index] = error * starts.first_sd[j]
-                qpos = starts.qpos[j].copy()
-                mujoco.mj_integratePos(CUBE.model, qpos, tangent[:nv], 1.0)
-                one = engine.rollout(
-                    theta[i : i + 1],
-                    qpos[None],
-                    starts.qvel[j : j + 1] + tangent[nv:],
-                    starts.inputs[j : j + 1],
-                    starts.lengths[j : j + 1],
-                )
-                for values, want in zip(predicted.values, wanted, strict=True):
-                    states = getattr(one, want.source)[0]
-                    expected = states[want.rows[j]][:, list(want.columns)]
-                    np.testing.assert_allclose(to_host(values)[i, j], expected, atol=rounding(engine, 1e3))
+    pairs = [(i, j) for i in range(5) for j in range(c)]
+    candidates, of_clips = map(list, zip(*pairs, strict=True))
+    for predicted, scale in ((plain, 0.0), (moved, 1.0)):
+        tangent = np.zeros((len(pairs), 2 * nv))
+        tangent[:, starts.first_index] = scale * errors[candidates, of_clips] * starts.first_sd[of_clips]
+        qpos = starts.qpos[of_clips]
+        for row, step in zip(qpos, tangent, strict=True):
+            mujoco.mj_integratePos(CUBE.model, row, step[:nv], 1.0)
+        qvel, inputs = starts.qvel[of_clips] + tangent[:, nv:], starts.inputs[of_clips]
+        alone = engine.rollout(theta[candidates], qpos, qvel, inputs, starts.lengths[of_clips])
+        for values, want in zip(predicted.values, wanted, strict=True):
+            for (i, j), states in zip(pairs, getattr(alone, want.source), strict=True):
+                expected = states[want.rows[j]][:, list(want.columns)]
+                np.testing.assert_allclose(to_host(values)[i, j], expected, atol=rounding(engine, 1e3))
 
 
 @pytest.mark.parametrize("limit", [1, 30_000], ids=["one rollout", "some rollouts"])
@@ -243,8 +238,9 @@ def test_the_same_engine_upon_another_model(opened: Open) -> None:
     call = some()
     moved, expected = opened(PENDULUM).upon(heavy), opened(PENDULUM, model=heavy)
     assert type(moved) is type(expected)
-    np.testing.assert_array_equal(moved.rollout(*call).qpos[:, :5], expected.rollout(*call).qpos[:, :5])
-    assert (moved.rollout(*call).qpos[:, 4] != opened(PENDULUM).rollout(*call).qpos[:, 4]).any()
+    found = moved.rollout(*call).qpos
+    np.testing.assert_array_equal(found[:, :5], expected.rollout(*call).qpos[:, :5])
+    assert (found[:, 4] != opened(PENDULUM).rollout(*call).qpos[:, 4]).any()
 
 
 def test_the_same_engine_with_further_parameters(opened: Open) -> None:

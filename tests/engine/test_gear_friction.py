@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 
+from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.engine.open import open_engine
-from amhe_cli.engine.rollout import Engine, Rollouts
+from amhe_cli.engine.rollout import Engine
 from amhe_cli.system.export.mjcf import identified_xml
 from amhe_cli.system.parameters.gear_friction import GearFriction, beyond
 from amhe_cli.system.system import System
@@ -67,12 +69,15 @@ def hoist(words: dict[str, float] = WORDS, xml: str = HOIST, joint: str = "lift"
 
 
 def run(
-    engine: Engine, system: System, force: float, speed: float = 0.0, steps: int = 200, **words: float
-) -> Rollouts:
-    """One rollout under a constant force of the motor."""
-    theta = np.array([[{**WORDS, **words}[name] for name in system.space.names]])
-    qpos, qvel = np.zeros((1, 1)), np.full((1, 1), speed)
-    return engine.rollout(theta, qpos, qvel, np.full((1, steps, 1), force), np.array([steps]))
+    engine: Engine, system: System, forces: Sequence[float], speed: float = 0.0, steps: int = 200,
+    **words: float | Sequence[float],
+) -> FloatArray:  # fmt: skip
+    """Speeds (n, steps) under n constant forces of the motor, with one number of the gear's for all or n."""
+    n = len(forces)
+    theta = np.stack([np.broadcast_to({**WORDS, **words}[name], n) for name in system.space.names], axis=1)
+    inputs = np.repeat(np.array(forces)[:, None, None], steps, axis=1)
+    start = np.zeros((n, 1)), np.full((n, 1), speed)
+    return engine.rollout(theta, *start, inputs, np.full(n, steps)).qvel[..., 0]
 
 
 @pytest.fixture(scope="module")
@@ -81,41 +86,32 @@ def lift(opened: Open) -> tuple[Engine, System]:
     return opened(system), system
 
 
-@pytest.mark.parametrize("force", [32.0, 15.0, 2.0])
-def test_it_is_harder_to_drive_back_than_to_drive(lift: tuple[Engine, System], force: float) -> None:
+def test_it_is_harder_to_drive_back_than_to_drive(lift: tuple[Engine, System]) -> None:
     """|k_e tau_e - k_m tau_m| is the same formula up and down; what it takes of the motor's force is not."""
+    force = np.array([32.0, 15.0, 2.0])
     friction = DRY + 0.3 * MASS * GRAVITY + 0.1 * force
     surplus = force - MASS * GRAVITY
-    moves = max(abs(surplus) - friction, 0.0) * np.sign(surplus)
-    done = run(*lift, force)
-    expected = moves / MASS * STEP * np.arange(1, 201)
+    moves = np.maximum(abs(surplus) - friction, 0.0) * np.sign(surplus)
+    assert (moves == 0.0).tolist() == [False, True, False]
+    expected = moves[:, None] / MASS * STEP * np.arange(1, 201)
     # friction that holds gives way by the compliance of MuJoCo's constraint
-    np.testing.assert_allclose(done.qvel[0, :, 0], expected, rtol=1e-3, atol=0.02)
-    assert (moves == 0.0) == (force == 15.0)
+    np.testing.assert_allclose(run(*lift, force), expected, rtol=1e-3, atol=0.02)
 
 
 def test_it_sticks_and_slips_where_the_law_says(lift: tuple[Engine, System]) -> None:
     """A load holds itself if k_e is large, and the motor alone decides how hard it must pull to hold."""
-    assert abs(run(*lift, 0.0, load_friction_external=1.01).qvel[0, -1, 0]) < 0.02
-    assert run(*lift, 0.0, load_friction_external=0.8).qvel[0, -1, 0] < -0.2
     least = ((1.0 - 0.3) * MASS * GRAVITY - DRY) / (1.0 + 0.1)
-    assert abs(run(*lift, least + 0.3).qvel[0, -1, 0]) < 0.02
-    assert run(*lift, least - 1.0).qvel[0, -1, 0] < -0.05
+    forces = (0.0, 0.0, least + 0.3, least - 1.0)
+    held, slips, holds, yields = run(*lift, forces, load_friction_external=(1.01, 0.8, 0.3, 0.3))[:, -1]
+    assert max(abs(held), abs(holds)) < 0.02
+    assert slips < -0.2 and yields < -0.05
 
 
 def test_quadratic_friction_acts_while_motor_and_load_pull_against_each_other(
     lift: tuple[Engine, System],
 ) -> None:
-    against, together = (
-        run(
-            *lift,
-            force,
-            load_friction_motor=0.0,
-            load_friction_external=0.0,
-            load_friction_quadratic=0.01,
-        ).qvel[0, -1, 0]
-        for force in (30.0, -30.0)
-    )
+    words = {"load_friction_motor": 0.0, "load_friction_external": 0.0, "load_friction_quadratic": 0.01}
+    against, together = run(*lift, (30.0, -30.0), **words)[:, -1]
     time = 200 * STEP
     assert against == pytest.approx((30.0 - MASS * GRAVITY - DRY - 0.01 * 600.0) / MASS * time, rel=1e-3)
     assert together == pytest.approx((-30.0 - MASS * GRAVITY + DRY) / MASS * time, rel=1e-3)
@@ -124,18 +120,18 @@ def test_quadratic_friction_acts_while_motor_and_load_pull_against_each_other(
 def test_a_free_stop_follows_stribecks_curve(opened: Open) -> None:
     """The speed of a coasting mass, and its energy: all of it is what friction has taken."""
     system = hoist(xml=HOIST.replace(f"0 0 -{GRAVITY}", "0 0 0"))
-    words = {"stribeck_friction": 2.0, "stribeck_velocity": 0.3, "stribeck_exponent": 2.0}
-    done = run(opened(system), system, 0.0, speed=0.4, steps=800, **words)
-    v, x, fine, lost = 0.4, [], 20, 0.0
-    for _ in range(800 * fine):
-        held = DRY + 2.0 * np.exp(-((v / 0.3) ** 2))
+    words = {"stribeck_friction": 2.0, "stribeck_velocity": 0.15, "stribeck_exponent": 2.0}
+    done = run(opened(system), system, (0.0,), speed=0.2, steps=300, **words)[0]
+    v, x, fine, lost = 0.2, [], 20, 0.0
+    for _ in range(300 * fine):
+        held = DRY + 2.0 * np.exp(-((v / 0.15) ** 2))
         lost += held * v * STEP / fine
         v = max(v - held / MASS * STEP / fine, 0.0)
         x.append(v)
-    np.testing.assert_allclose(done.qvel[0, :, 0], x[fine - 1 :: fine], atol=0.006)
-    assert lost == pytest.approx(0.5 * MASS * 0.4**2, rel=0.01)
-    held = DRY + 2.0 * np.exp(-((done.qvel[0, :, 0] / 0.3) ** 2))
-    assert np.sum(held * np.abs(done.qvel[0, :, 0])) * STEP == pytest.approx(0.5 * MASS * 0.4**2, rel=0.02)
+    np.testing.assert_allclose(done, x[fine - 1 :: fine], atol=0.006)
+    assert lost == pytest.approx(0.5 * MASS * 0.2**2, rel=0.01)
+    held = DRY + 2.0 * np.exp(-((done / 0.15) ** 2))
+    assert np.sum(held * np.abs(done)) * STEP == pytest.approx(0.5 * MASS * 0.2**2, rel=0.02)
 
 
 def test_rollouts_depend_neither_on_company_nor_on_earlier_calls(opened: Open) -> None:

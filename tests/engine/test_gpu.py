@@ -275,8 +275,8 @@ def test_turns_get_smaller_where_the_memory_is_full(
 
 
 def test_an_estimate_is_that_of_the_processor() -> None:
-    short = PENDULUM.settings.clips.model_copy(update={"count": 1, "length": (0.1, 0.1)})
-    few = PENDULUM.settings.identify.model_copy(update={"iterations": 8})
+    short = PENDULUM.settings.clips.model_copy(update={"count": 1, "length": (0.06, 0.06)})
+    few = PENDULUM.settings.identify.model_copy(update={"iterations": 4})
     settings = PENDULUM.settings.model_copy(update={"clips": short, "identify": few})
     system = replace(PENDULUM, settings=settings)
     log = amhe.read_log(Path(__file__).parents[2] / "examples" / "logs" / "pendulum.mcap", system)
