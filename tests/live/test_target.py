@@ -16,8 +16,6 @@ from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.model import plant_model
 from amhe_cli.robots.go1.plant import Plant
 
-pytestmark = pytest.mark.realtime
-
 PERIOD = 0.02
 STAND = np.full(12, -1.0)
 
@@ -159,6 +157,7 @@ def test_who_is_slow_finds_that_time_has_gone_on(clock: Clock) -> None:
     assert target.misses == 2, "one late plan is counted once"
 
 
+@pytest.mark.realtime
 def test_by_the_real_clock_time_is_kept() -> None:
     target = SimTarget(Player(), PERIOD, STAND, realtime=True)
     begun = time.monotonic()
