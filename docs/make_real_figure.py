@@ -40,8 +40,8 @@ def main() -> None:
         before, after = np.degrees(cost.predict(z).values[0][:, 0, :, joint])
         time = (observed.rows[0] + 1) * system.dt
         place.plot(time, np.degrees(observed.measured[0, :, joint]), "k", lw=2.5, label="measured")
-        place.plot(time, before, "C1", lw=1.2, label="predicted, before identification")
-        place.plot(time, after, "C0", lw=1.2, label="predicted, identified")
+        place.plot(time, before, "C1", lw=1.5, label="predicted, before identification")
+        place.plot(time, after, "C0", lw=1.5, label="predicted, identified")
         place.set(title=title, xlabel="time [s]", ylabel="angle [°]")
         place.grid(alpha=0.3)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)

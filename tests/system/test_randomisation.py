@@ -96,7 +96,7 @@ def loaded(text: str, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     mdp = module(monkeypatch, "isaaclab.envs.mdp", **{name: name for name in ISAAC})
     module(monkeypatch, "isaaclab.envs", mdp=mdp)
     module(monkeypatch, "isaaclab.managers", EventTermCfg=term, SceneEntityCfg=scene)
-    module(monkeypatch, "isaaclab.utils", configclass=lambda one: one)
+    module(monkeypatch, "isaaclab.utils.configclass", configclass=lambda one: one)
     module(monkeypatch, "isaaclab.utils.math", sample_uniform=lambda *given: given)
     names: dict[str, Any] = {}
     exec(compile(text, "events.py", "exec"), names)
@@ -261,6 +261,8 @@ def test_one_servo_is_drawn_alone(written: Write, monkeypatch: pytest.MonkeyPatc
     names = loaded(mjlab_text(system, belief_of(system, np.zeros(2), 0.01 * np.eye(2))), monkeypatch)
     events = names["identified_events"]("robot")
     assert set(events) == {"hip_servo_gains", "hip_servo_effort"}  # what is fixed is not drawn
+    # their names in the MJCF, and in `identified_actuators`
+    assert {event.params["asset_cfg"]["actuator_names"] for event in events.values()} == {("hip_servo|hip",)}
     names["torch"] = Draws
     fields = {"actuator_gainprm": 10, "actuator_biasprm": 10, "actuator_forcerange": 2}
     model = SimpleNamespace(**{name: np.zeros((4, 3, width)) for name, width in fields.items()})
@@ -301,7 +303,8 @@ def test_actuators_have_the_identified_numbers(
     assert (servo["stiffness"], servo["damping"], servo["effort_limit"]) == (20.0, 1.3, 5.0)
     assert servo["armature"] == 0.01
     lags = [servo[key] for key in servo if "delay" in key]
-    assert lags == [7, 13]  # 10 ms +- 1.645 times 2 ms
+    assert lags[:2] == [7, 13]  # 10 ms +- 1.645 times 2 ms
+    assert lags[2:] == ([10**9, False] if module_name == "mjlab" else [])  # mjlab: a lag holds until a reset
     dry = servo.get("frictionloss", servo.get("friction"))
     model = system.edits.apply(system.model, belief.estimate)
     load = usual_load(model)[model.joint("hip").dofadr[0]]

@@ -41,8 +41,9 @@ _TERM = """EventTermCfg(
 _ACTUATORS = '''
 
 def identified_actuators(timestep: float = {timestep}):
-    """Actuators with the identified numbers, {use}.
+    """Actuators with the identified numbers.
 
+    {use}
     They are the model's position servos; other actuators of it need a configuration of their own. A delay is
     drawn between its ends, in whole physics steps of `timestep` [s].
     """
@@ -67,6 +68,7 @@ class Event:
         kind: What it is about: 'joint', 'body', 'actuator', 'geom' or 'pair'.
         names: The names of those.
         values: The function's other arguments.
+        other: Another name of the only one of those.
     """
 
     what: str
@@ -74,6 +76,7 @@ class Event:
     kind: str
     names: Sequence[str]
     values: Mapping[str, object]
+    other: str | None = None
 
     @property
     def name(self) -> str:
@@ -152,7 +155,7 @@ class Tool:
         entry: Form of an entry, with its name and its text for the braces; its spaces stand before each line.
         text: The rest of the file, with `$entries` in the entries' place.
         actuator: Module and class of its actuators, what stands around them, and how they are used.
-        arguments: Arguments of that class -> what of `servos` they are.
+        arguments: Arguments of that class -> what of `_servos` they are, or their value.
     """
 
     events: Callable[[Drawn], Iterable[Event]]
@@ -162,7 +165,7 @@ class Tool:
     entry: str
     text: str
     actuator: tuple[str, str, str, str]
-    arguments: Mapping[str, str]
+    arguments: Mapping[str, object]
 
 
 def randomisation(system: System, belief: Belief, tool: Tool) -> str:
@@ -175,7 +178,9 @@ def randomisation(system: System, belief: Belief, tool: Tool) -> str:
     draws = Drawn(system, model, theta, arrays)
     entries = []
     for event in tool.events(draws):
-        selector = f"{event.kind}_names={_code(tool.names([re.escape(name) for name in event.names]))}"
+        names = [re.escape(name) for name in event.names]
+        names[0] += f"|{re.escape(event.other)}" if event.other else ""
+        selector = f"{event.kind}_names={_code(tool.names(names))}"
         values = "".join(f'        "{key}": {_code(value)},\n' for key, value in event.values.items())
         term = _TERM.format(function=event.function, entity=tool.entity, selector=selector, values=values)
         spaces = tool.entry[: len(tool.entry) - len(tool.entry.lstrip())]
@@ -274,8 +279,8 @@ def _actuators(draws: Drawn, tool: Tool) -> str:
     entries = []
     for servo in _servos(draws):
         key = f"{_code(servo['joint'])}: " if opening == "{" else ""
-        servo["joint"] = tool.names([str(servo["joint"])])
-        values = ((argument, of, servo[of]) for argument, of in tool.arguments.items())
+        servo["joint"] = tool.names([re.escape(str(servo["joint"]))])
+        values = ((a, of, servo.get(str(of), of)) for a, of in tool.arguments.items())
         given = (f"{a}={_argument(of, value)}" for a, of, value in values if value is not None)
         entries.append(f"        {key}{name}({', '.join(given)}),")
     if not entries:
@@ -286,7 +291,7 @@ def _actuators(draws: Drawn, tool: Tool) -> str:
     )  # fmt: skip
 
 
-def _argument(of: str, value: object) -> str:
+def _argument(of: object, value: object) -> str:
     """A value as Python text with five digits; a delay as the steps that it lasts."""
     if not isinstance(value, float):
         return _code(value)

@@ -9,6 +9,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.system.export.randomisation import Drawn, Event, Tool, ends
+from amhe_cli.system.model.elements import driven_joint, names_of
 from amhe_cli.system.parameters.inertia import PSEUDO_NAMES, log_cholesky_of, pseudo_inertia, upper_factor
 
 #: The version that mjlab's files were run with (`benchmarks/mjlab_events.py`), and those of Isaac Lab whose
@@ -68,7 +69,7 @@ $entries
 _ISAACLAB_TEXT = '''
 import isaaclab.envs.mdp as mdp
 from isaaclab.managers import EventTermCfg, SceneEntityCfg
-from isaaclab.utils import configclass
+from isaaclab.utils.configclass import configclass
 from isaaclab.utils.math import sample_uniform
 
 
@@ -106,12 +107,16 @@ def _of_mjlab(draws: Drawn) -> Iterator[Event]:
     yield from _bodies(draws)
     yield from _contacts(draws)
     for row, kp, kd in draws.gains():
-        names = [draws.model.actuator(row).name]
-        yield Event("gains", "randomize_actuator", "actuator", names, {"kp": kp, "kd": kd})
+        yield _actuator(draws, row, "gains", {"kp": kp, "kd": kd})
     for row in draws.rows("actuator_forcerange"):
-        values = {"limit": draws.range("actuator_forcerange", [row], 1)}
-        names = [draws.model.actuator(row).name]
-        yield Event("effort", "randomize_actuator", "actuator", names, values)
+        yield _actuator(draws, row, "effort", {"limit": draws.range("actuator_forcerange", [row], 1)})
+
+
+def _actuator(draws: Drawn, row: int, what: str, values: dict[str, object]) -> Event:
+    """Of an actuator by its name in the MJCF or, in `identified_actuators`, by its joint's."""
+    names, joint = names_of(draws.model, "actuator"), driven_joint(draws.model, row)
+    other = joint if joint not in names else None
+    return Event(what, "randomize_actuator", "actuator", [draws.model.actuator(row).name], values, other)
 
 
 def _joints(draws: Drawn) -> Iterator[Event]:
@@ -243,13 +248,13 @@ MJLAB_TOOL = Tool(
     _MJLAB_TEXT,
     (
         "mjlab.actuator", "BuiltinPositionActuatorCfg", "()",
-        "for `EntityArticulationInfoCfg(actuators=identified_actuators(timestep))`; delete those of the XML "
-        "from its spec",
+        "EntityArticulationInfoCfg(actuators=identified_actuators(timestep)): delete those of the spec.",
     ),
     {
         "target_names_expr": "joint", "stiffness": "stiffness", "damping": "damping",
         "effort_limit": "effort", "armature": "armature", "frictionloss": "friction",
         "viscous_damping": "viscous", "delay_min_lag": "shortest", "delay_max_lag": "longest",
+        "delay_update_period": 10**9, "delay_per_env_phase": False,  # drawn at a reset, and held
     },
 )  # fmt: skip
 #: Isaac Lab (`isaaclab.managers.EventTermCfg`).
@@ -258,7 +263,8 @@ ISAACLAB_TOOL = Tool(
     (
         f"Isaac Lab {ISAACLAB}",
         "class EventCfg(IdentifiedEventsCfg): ...  # or copy the terms into your own",
-        f"Functions and arguments were checked against the source of Isaac Lab {ISAACLAB}; none was run.",
+        f"Functions and arguments were checked against the source of Isaac Lab {ISAACLAB} with PhysX; none\n"
+        "was run. Newton takes no viscous friction there.",
     ),
     '"robot"',
     list,
@@ -266,7 +272,7 @@ ISAACLAB_TOOL = Tool(
     _ISAACLAB_TEXT,
     (
         "isaaclab.actuators", "DelayedPDActuatorCfg", "{}",
-        "for `ArticulationCfg(actuators=identified_actuators(timestep))`",
+        "ArticulationCfg(actuators=identified_actuators(timestep))",
     ),
     {
         "joint_names_expr": "joint", "stiffness": "stiffness", "damping": "damping",
