@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence, Set
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -24,7 +25,6 @@ from amhe_cli.audit.judge import (
 )
 from amhe_cli.audit.suspects import (
     HOPELESS,
-    MORE,
     Explanation,
     Searched,
     findings_of,
@@ -44,7 +44,7 @@ from amhe_cli.core.statistics import correlation
 from amhe_cli.core.yaml_file import merged
 from amhe_cli.estimation.conclude import Search
 from amhe_cli.estimation.core.result import Against, Identification, Iteration, ParameterResult
-from amhe_cli.estimation.identification import IdentifyOptions, concluded, ended, searched_for
+from amhe_cli.estimation.identification import IdentifyOptions, concluded, searched_for
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.init.folder import Proposal
 from amhe_cli.system.system import System
@@ -188,7 +188,9 @@ def audit(
             search, wrong = without_suspects(again, claims, wrong, search, seen=seen)
     assert search is not None
     look = again if proposal.match == "effort" else partial(searched, _LOOK, None, False)
-    first = Explanation(ended(search, MORE), wrong, claims)
+    first = Explanation(search, wrong, claims)
+    with suppress(KeyboardInterrupt):
+        first = first.further()
     found, judgement, at = _concluded(again, look, first, seen)
     system = at.search.problem.system
     lines = _lines(system, found, claims, judgement, logs)

@@ -35,7 +35,7 @@ _ROUNDS = 8
 #: the cost must fall there.
 _FAR, _FALLS = (-2.0, -1.0, 1.0, 2.0), 0.1
 #: A search that has to end, to judge by it, may have so many times its iterations more.
-MORE = 3
+_MORE = 3
 #: Logarithm of the odds of an explanation below which it changes no verdict.
 HOPELESS = -10.0
 
@@ -84,6 +84,16 @@ class Explanation:
         now = self.against(first, wider)
         return max(now, min(now + self.to_go[1] / wider**2, 0.0))
 
+    def further(self, enough: Callable[[Explanation], bool] = lambda one: False) -> Explanation:
+        """Where its search goes on until it has ended, or explains enough; a few times as long at most."""
+        one = self
+        for _ in range(_MORE):
+            search = one.search if enough(one) else _ended(ended(one.search))
+            if search is one.search:
+                break
+            one = replace(one, search=search)
+        return one
+
     def hopeless(self, first: Explanation, wider: float) -> bool:
         """Whether its values change no verdict, whatever sheets were wrong."""
         return self.against(first, wider, least=True) + self.to_go[1] / wider**2 < HOPELESS
@@ -126,19 +136,19 @@ class Explanation:
         near = replace(self.search, finding=replace(self.search.finding, z=space.clip(at), straight=False))
         free = frozenset(self.sheets.groups) - believed
         other = Explanation(_ended(looked(free, near)), free, self.claims)
-        if other.hopeless(self, wider):  # as it looks on its way
-            other = Explanation(_ended(ended(other.search, MORE)), free, self.claims)
-            if other.hopeless(self, wider):
-                return other.search, None
+        other = other.further(lambda one: not one.hopeless(self, wider))
+        if other.hopeless(self, wider):
+            return other.search, None
         few = next(iter(wrong_sheets(other.evidence, other.sheets, right=believed)))
         search, wrong = without_suspects(searched, self.claims, few, other.search, believed)
-        search = _ended(ended(search, MORE))
-        return search, Explanation(search, wrong, self.claims)
+        other = Explanation(_ended(search), wrong, self.claims)
+        other = other.further(lambda one: one.against(self, wider) > 0.0)
+        return other.search, other
 
     def widened(self, searched: Searched, seen: list[Explanation]) -> Explanation:
         """The explanation from here, with any sheet open; `seen`: gets what else was searched on the way."""
         search, wrong = without_suspects(searched, self.claims, self.wrong, self.search, seen=seen)
-        return Explanation(_ended(ended(search, MORE)), wrong, self.claims)
+        return Explanation(_ended(search), wrong, self.claims).further()
 
 
 def _misfit(fit: FinalFit, of: Search, few: Problem | None) -> float:

@@ -158,13 +158,10 @@ def searched_for(
     return Search(problem, finding, validation, watch, model, without=apart)
 
 
-def ended(stopped: Search, most: int) -> Search:
-    """A search that goes on until it has ended, by at most so many times its iterations."""
-    for _ in range(most):
-        if stopped.watch.interrupted or not still_moving(stopped.fit):
-            break
-        begin = stopped.finding
-        assert isinstance(begin, SearchState)
+def ended(stopped: Search) -> Search:
+    """A search that goes on until it has ended, by as many iterations again at most; itself if it has."""
+    begin = stopped.finding
+    if isinstance(begin, SearchState) and not stopped.watch.interrupted and still_moving(stopped.fit):
         begin = replace(begin, stage="polish", number=search.ROUGHLY)  # with all clips
         before, unsaved = len(begin.record) - begin.number, Checkpoint(None, stopped.problem, METHODS[0])
         finding = _run(

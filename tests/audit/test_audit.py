@@ -169,6 +169,13 @@ def test_a_search_that_is_interrupted_keeps_what_was_found_before(monkeypatch: p
 def test_an_interruption_before_the_second_search_begins_keeps_the_first(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    class Stopped(SimpleNamespace):
+        def __init__(self, search: Any) -> None:
+            super().__init__(search=search)
+
+        def further(self) -> Any:
+            raise KeyboardInterrupt
+
     first: Any = SimpleNamespace(
         problem=SimpleNamespace(system="model"), watch=SimpleNamespace(interrupted=False), interrupted=True
     )
@@ -182,7 +189,7 @@ def test_an_interruption_before_the_second_search_begins_keeps_the_first(
         ("claims_of", lambda *_: ["a claim"]), ("doubts_of", lambda _: []), ("_lines", lambda *_: []),
         ("without_suspects", without_suspects), ("concluded", lambda search, quick: search),
         ("_judgement", lambda *_: None),
-        ("Explanation", lambda search, wrong, claims: SimpleNamespace(search=search)),
+        ("Explanation", lambda search, wrong, claims: Stopped(search)),
     ):  # fmt: skip
         monkeypatch.setattr(module, name, stub)
     proposal: Any = SimpleNamespace(settings={}, match="motion")
@@ -243,7 +250,7 @@ def test_a_search_that_has_not_ended_goes_on_before_it_excludes_anything(
         monkeypatch.setattr(suspects.Explanation, name, stub)
     monkeypatch.setattr(suspects, "wrong_sheets", lambda *_, **__: [frozenset()])
     monkeypatch.setattr(suspects, "without_suspects", lambda *given: (given[3], given[2]))
-    monkeypatch.setattr(suspects, "ended", lambda search, most: went_on.search)
+    monkeypatch.setattr(suspects, "ended", lambda search: went_on.search)
     search, other = first.rival(lambda *_: stopped.search, lambda *_: stopped.search, ("arm", "mass"), 1.0)
     assert search is went_on.search
     assert (other is None) == (later < suspects.HOPELESS), "only where it ended shows what it explains"
