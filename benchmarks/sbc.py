@@ -188,8 +188,8 @@ def counts_below(count: int, places: FloatArray) -> FloatArray:
 
 
 def places_of(count: int) -> FloatArray:
-    """Where ECDFs of n ranks are compared, below 1."""
-    steps = min(count, 100)
+    """Where ECDFs of n ranks are compared, below 1; of a single one at its middle."""
+    steps = min(max(count, 2), 100)
     return np.arange(1, steps) / steps
 
 
@@ -215,7 +215,7 @@ def band_of(count: int, tail: float) -> tuple[FloatArray, FloatArray]:
     """Least and largest ECDF whose pointwise tails are at least `tail`, at `places_of`."""
     below = counts_below(count, places_of(count))
     low = (below < 0.5 * tail).sum(axis=1)
-    high = (below < 1.0 - 0.5 * tail).sum(axis=1)
+    high = (below < 1.0 - 0.5 * tail + 1e-12).sum(axis=1)  # one with just this tail stays within
     return low / count, high / count
 
 

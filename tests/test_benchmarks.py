@@ -102,6 +102,10 @@ def test_a_band_holds_the_ecdfs_of_uniform_ranks_as_a_whole(sbc) -> None:
     assert inside(sbc, np.random.default_rng(0).random((4000, 60))).mean() == pytest.approx(0.95, abs=0.02)
 
 
+def test_a_single_rank_leaves_no_band(sbc) -> None:
+    assert inside(sbc, np.array([[0.0], [0.5], [1.0]])).all()
+
+
 def test_ranks_of_a_posterior_that_is_too_narrow_leave_both_bands(sbc) -> None:
     t = 1.5 * np.random.default_rng(0).standard_normal((50, 200))
     ranks = np.vectorize(sbc.NormalDist().cdf)(t)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from amhe_cli.cli import options
 from amhe_cli.cli.command import Given, argument, command, flag, option
-from amhe_cli.cli.kinds import COUNT, FILE, NewFile
+from amhe_cli.cli.kinds import COUNT, FILE
 from amhe_cli.cli.session import Session
 
 
@@ -13,8 +13,7 @@ from amhe_cli.cli.session import Session
     argument("beliefs", FILE, nargs=-1, required=True, metavar="BELIEF..."),
     options.system_or("that of the first belief"),
     options.belief_anyway,
-    option("-o --out", "File for the pooled belief.  [default: none; the table alone]", NewFile()),
-    options.force("over FILE where it exists"),
+    options.written("FILE", "File for the pooled belief.  [default: none; the table alone]"),
 )
 def pool(session: Session, given: Given) -> None:
     """Compare each BELIEF, a belief.yaml, with the others, and make one of them if they agree.
@@ -28,7 +27,7 @@ def pool(session: Session, given: Given) -> None:
     from amhe_cli.report.comparison import pool_record, pool_table
     from amhe_cli.report.tables import rich_table
 
-    given.refuse_existing(given.out)
+    given.refuse_existing()
     system = given.system or system_of_result(given.beliefs[0])
     found = pooled(given.beliefs, system=system, belief_anyway=given.belief_anyway)
     if given.out is not None:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from amhe_cli.cli import options
-from amhe_cli.cli.command import Given, argument, command, flag, option
-from amhe_cli.cli.kinds import LOG, MODEL, NewFile, episodes
+from amhe_cli.cli.command import Given, argument, command, flag
+from amhe_cli.cli.kinds import LOG, MODEL, episodes
 from amhe_cli.cli.session import LOSSY, Session
 
 if TYPE_CHECKING:
@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     options.where,
     options.require("the sd expected of a parameter"),
     flag("--no-meshes", "Read a URDF without its meshes."),
-    option("-o --page", "Write it as a page, too.", NewFile("FILE.html")),
-    options.force("over FILE.html where it exists"),
+    options.page,
 )
 def check(session: Session, given: Given) -> int | None:
     """Look through MODEL for numbers that no robot has: the worst first, each with what would cure it.
@@ -46,14 +45,13 @@ def check(session: Session, given: Given) -> int | None:
     from amhe_cli.check.motion import log_findings, motions
     from amhe_cli.cli.inputs import model_file, urdf_options
     from amhe_cli.cli.required import matching, missed_of, names_of
-    from amhe_cli.core.files import write_whole
     from amhe_cli.estimation.design.expected import expected
     from amhe_cli.report.check import check_page, expected_record, print_expected, print_findings
     from amhe_cli.system.model.files import compiled, read_spec
 
     if given.require and not given.logs:
         raise click.UsageError("--require is about what a log will tell: give a LOG")
-    given.refuse_existing(given.page)
+    given.refuse_existing()
     path = model_file(given.model)
     session.listed = of_model = []
     made = compiled(read_spec(path, urdf_options(path, not given.no_meshes)), path.name)
@@ -72,12 +70,10 @@ def check(session: Session, given: Given) -> int | None:
     found = worst_first(found)
     session.warnings += [f"{one.where}: {one.what}" for one in found]
     facts = (f"{total_mass(made):.4g} kg", f"joints: {made.njnt}", f"actuators: {made.nu}")
-    if given.page:
-        page = check_page(path.name, facts, found, hope, moved, missed, session.command_line)
-        write_whole(given.page, page)
     told = {} if hope is None else expected_record(hope, moved, missed)
     listed = [asdict(one) for one in found]
-    if not session.gave(session.record(model=str(path), mass=total_mass(made), findings=listed, **told)):
+    record = session.record(model=str(path), mass=total_mass(made), findings=listed, **told)
+    if not session.gave(record):
         console = session.console()
         console.print(f"{path.name}: {', '.join(facts)}")
         print_findings(found, console)
@@ -87,6 +83,8 @@ def check(session: Session, given: Given) -> int | None:
             print_expected(hope, moved, console)
         for text in missed:
             console.print(f"not reached: {text}", style="yellow")
+    about = (path.name, facts, found, hope, moved, missed, session.command_line)
+    given.write(record, lambda: check_page(*about))
     return LOSSY if missed else None
 
 

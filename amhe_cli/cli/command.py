@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 #: The panel of options that every command has, which help names in one line.
 COMMON = "Common"
 #: Names that an option had once.
-FORMER = {"--for": "--seconds", "--duration": "--seconds"}
+FORMER = {"--for": "--seconds", "--duration": "--seconds", "--page": "--out", "--save": "--out"}
 
 
 class Option(click.Option):
@@ -119,10 +119,22 @@ class Given(SimpleNamespace):
         session.folder = reserve(self.out, session.name, self.force)
         return session.folder
 
-    def refuse_existing(self, path: Path | None) -> None:
-        """Refuse a file that exists, without --force."""
-        if path is not None and path.exists() and not self.force:
-            raise ConfigError(f"{path}: exists; choose another name, or give `force=True` to write over it")
+    def write(self, record: object, page: Callable[[], str] | None = None) -> None:
+        """Write the file of --out, if any: the page, or the record where there is none or it is .json."""
+        if self.out is None:
+            return
+        from amhe_cli.core.files import json_text, write_whole
+
+        write_whole(self.out, json_text(record) if page is None or self.out.suffix == ".json" else page())
+        if not click.get_current_context().ensure_object(Session).json:
+            print(f"wrote {self.out}")
+
+    def refuse_existing(self) -> None:
+        """Refuse an --out that exists, without --force."""
+        if self.out is not None and self.out.exists() and not self.force:
+            raise ConfigError(
+                f"{self.out}: exists; choose another name, or give `force=True` to write over it"
+            )
 
 
 class Command(click.Command):

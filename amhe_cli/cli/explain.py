@@ -14,6 +14,7 @@ from amhe_cli.cli.session import Session
     options.where,
     options.seed,
     options.tuning,
+    options.page,
 )
 def explain(session: Session, given: Given) -> None:
     """Name what explains the motion that the model of a RESULT does not.
@@ -33,8 +34,9 @@ def explain(session: Session, given: Given) -> None:
     from amhe_cli.estimation.explain.explain import explain as run
     from amhe_cli.estimation.offline.clips import whole
     from amhe_cli.estimation.uncertainty.misfit import ASKED
-    from amhe_cli.report.missing import missing_record, print_missing
+    from amhe_cli.report.missing import missing_page, missing_record, print_missing
 
+    given.refuse_existing()
     found = viewed(given.source, given.inputs)
     if found.belief is None:
         raise ConfigError(f"{given.source}: is no result of `amhe identify`")
@@ -49,5 +51,7 @@ def explain(session: Session, given: Given) -> None:
     else:
         parts, rng = [whole(log) for log in logs], np.random.default_rng(given.seed)
         missing = run(system, parts, np.zeros(len(space)), rng)
-    if not session.gave(session.record(missing=missing_record(missing))):
+    record = session.record(missing=missing_record(missing))
+    if not session.gave(record):
         print_missing(missing, session.console())
+    given.write(record, lambda: missing_page(str(given.source), missing, session.command_line))

@@ -19,7 +19,12 @@ if TYPE_CHECKING:
     from amhe_cli.system.system import System
 
 
-@command("What is in a log, and what a system lacks in it.", options.logs, options.where)
+@command(
+    "What is in a log, and what a system lacks in it.",
+    options.logs,
+    options.where,
+    options.written("FILE.json", "Write what --json prints, too."),
+)
 def inspect(session: Session, given: Given) -> int | None:
     """List what is in LOG...: topics, types, rates, gaps, clocks, problems.
 
@@ -29,12 +34,14 @@ def inspect(session: Session, given: Given) -> int | None:
     from amhe_cli.logs import members
     from amhe_cli.report.inspection import inspection_record, losses, print_inspection
 
+    given.refuse_existing()
     inputs = given.inputs
     found = [_inspection(one, inputs) for path in given.logs for one in members(path)]
     session.warnings += [text for one in found for text in losses(one)]
-    told = session.gave(session.record(logs=[inspection_record(one) for one in found]))
-    for one in () if told else found:
+    record = session.record(logs=[inspection_record(one) for one in found])
+    for one in () if session.gave(record) else found:
         print_inspection(one, session.console())
+    given.write(record)
     return UNREADABLE if any(one.usable is False for one in found) else None
 
 

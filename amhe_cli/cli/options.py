@@ -3,7 +3,7 @@
 where:  --system --topic --msg-path --from --to, of all that read logs
 tuning: --set --config
 work:   --seed --threads --engine
-output: -o --force
+output: -o --force, of a folder; page: of a file
 
 Besides these, a command has at most 16 options of its own; what is seldom needed is a setting.
 """
@@ -17,7 +17,19 @@ import click
 
 from amhe_cli.cli import completion
 from amhe_cli.cli.command import Option, argument, flag, in_panel, option, setting
-from amhe_cli.cli.kinds import COUNT, FILE, FOLDER, LOG, SECONDS, Number, WholeNumber, episodes, listed, pairs
+from amhe_cli.cli.kinds import (
+    COUNT,
+    FILE,
+    FOLDER,
+    LOG,
+    SECONDS,
+    NewFile,
+    Number,
+    WholeNumber,
+    episodes,
+    listed,
+    pairs,
+)
 from amhe_cli.cli.required import required
 from amhe_cli.core.errors import ConfigError
 
@@ -171,6 +183,15 @@ output = in_panel(
     ),
     force("into an existing OUT that is not empty"),
 )
+
+
+def written(form: str, about: str) -> tuple[Option, ...]:
+    """A file to write, called so in the help; see `Given.write`."""
+    return in_panel(_OUTPUT, option("-o --out", about, NewFile(form)), force(f"over {form} where it exists"))
+
+
+#: A page, or an object.
+page = written("FILE.html", "Write it as a page, too; a FILE.json gets what --json prints.")
 
 belief_anyway = flag(
     "--belief-anyway", "Take a belief about another model too, and only warn of what has changed."

@@ -8,8 +8,7 @@ from contextlib import closing
 import click
 
 from amhe_cli.cli import options
-from amhe_cli.cli.command import Given, command, option
-from amhe_cli.cli.kinds import NewFile
+from amhe_cli.cli.command import Given, command
 from amhe_cli.cli.progress import of_messages, progress
 from amhe_cli.cli.session import Session, stopping
 
@@ -21,8 +20,7 @@ from amhe_cli.cli.session import Session, stopping
     options.topics,
     options.msg_path,
     options.seconds("Stop after S seconds.  [default: when it is interrupted]"),
-    option("-o --out", "The log to write.", NewFile("OUT.mcap")),
-    options.force("over OUT.mcap where it exists"),
+    options.written("OUT.mcap", "The log to write."),
     options.tuning,
 )
 def record(session: Session, given: Given) -> None:
@@ -38,7 +36,7 @@ def record(session: Session, given: Given) -> None:
     from amhe_cli.logs.messages.definitions import Definitions
 
     out, msg_path, inputs = given.out, given.msg_path, given.inputs
-    given.refuse_existing(out)
+    given.refuse_existing()
     if out is None or out.suffix != ".mcap":
         raise click.UsageError("name the log to write with -o OUT.mcap")
     if given.topics and not given.system:

@@ -6,7 +6,7 @@ import time
 
 from amhe_cli.cli import options
 from amhe_cli.cli.command import Given, argument, command, option
-from amhe_cli.cli.kinds import LOG, PORT, NewFile
+from amhe_cli.cli.kinds import LOG, PORT
 from amhe_cli.cli.session import Session, stopping
 
 
@@ -15,8 +15,7 @@ from amhe_cli.cli.session import Session, stopping
     argument("source", LOG, metavar="LOG|RESULT"),
     options.where,
     options.believed("The belief.yaml of an identification: its ghost is shown beside that of before."),
-    option("-o --save", "Write one page that needs no network, and serve nothing.", NewFile("PAGE.html")),
-    options.force("over PAGE.html where it exists"),
+    options.written("PAGE.html", "Write one page that needs no network, and serve nothing."),
     option("--host ADDRESS", "To serve on.", default="127.0.0.1"),
     option("--port", "To serve on.", PORT, default=0, show_default="any free one"),
     options.tuning,
@@ -36,7 +35,7 @@ def view(session: Session, given: Given) -> None:
     from amhe_cli.view.open import view_of
     from amhe_cli.view.server import PageServer
 
-    given.refuse_existing(given.save)
+    given.refuse_existing()
     found = viewed(given.source, given.inputs)
     opened, known = (
         found.open()
@@ -53,11 +52,11 @@ def view(session: Session, given: Given) -> None:
         warnings=session.warnings,
         **found.beside(opened, (logs or held_out)[0], known),
     )
-    if given.save is not None:
+    if given.out is not None:
         page = shown.page()
-        write_whole(given.save, page)
-        if not session.gave(session.record(page=str(given.save), bytes=len(page.encode()))):
-            session.console().print(f"page: {given.save}", soft_wrap=True)
+        write_whole(given.out, page)
+        if not session.gave(session.record(page=str(given.out), bytes=len(page.encode()))):
+            session.console().print(f"page: {given.out}", soft_wrap=True)
         return
     page = shown.page(asks=True)
     with (

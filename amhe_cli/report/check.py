@@ -133,7 +133,7 @@ def check_page(
                 "What a fit will say",
                 text=f"From slopes near the estimate of a few clips. {_time(hope)}.",
                 table=_expected_table(hope),
-                items=[f"{numbers.joined(n)}: {why}" for why, n in _alike(hope).items() if len(n) >= MANY],
+                items=[f"{numbers.some(n)}: {why}" for why, n in _alike(hope).items() if len(n) >= MANY],
             ),
         ]
         if known := _together(hope):

@@ -13,7 +13,7 @@ from amhe_cli.report import numbers
 from amhe_cli.report.comparison import heads, horizon_record, together
 from amhe_cli.report.figures import missing_figure
 from amhe_cli.report.held_out import sized
-from amhe_cli.report.page import Section
+from amhe_cli.report.page import Section, page
 from amhe_cli.report.tables import NUMBER, STRONG, TEXT, Table, rich_table
 
 
@@ -136,4 +136,27 @@ def missing_section(found: Missing) -> Section:
         figure=missing_figure(found.rows),
         note=f"{rest(found).capitalize()}.",
         folded=not found.rows,
+    )
+
+
+def missing_page(source: str, found: Missing, command: str) -> str:
+    """The page of `amhe explain`.
+
+    Args:
+        source: The folder of the result.
+        found: What it lacks.
+        command: The command line.
+    """
+    count = len(found.rows)
+    lacks = f"{count} cause{'s' * (count > 1)} of what the model of {source} does not explain."
+    return page(
+        "explain",
+        title=source,
+        facts=(f"causes tried: {found.tested}",) if found.tested else (),
+        headline=lacks if found.rows else f"{rest(found).capitalize()}.",
+        statements=(),
+        sections=[
+            *([missing_section(found)] if found.rows else []),
+            Section("How it was made", items=[command], files=True, folded=True),
+        ],
     )

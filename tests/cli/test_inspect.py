@@ -26,8 +26,9 @@ def test_it_says_what_is_missing_with_the_nearest_name(pendulum_log: Path, capsy
 
 @pytest.mark.medium
 def test_json_is_one_object(pendulum_log: Path, capsys) -> None:
-    assert run(["inspect", str(pendulum_log), str(pendulum_log), "--json"]) == 0
+    assert run(["inspect", str(pendulum_log), str(pendulum_log), "--json", "-o", "it.json"]) == 0
     record = json.loads(capsys.readouterr().out)
+    assert record == json.loads(Path("it.json").read_text())
     assert record["command"] == "inspect"
     assert len(record["logs"]) == 2
     log = record["logs"][0]
