@@ -39,6 +39,8 @@ SHOW = """(() => {
   if (player.take !== take) {
     player.take = take; player.row = take.recording;
     player.fit(); player.redraw(); scrollTo(0, 0);
+    const camera = player.stage.camera;  // all of it below the layers' names
+    camera.away *= 1.15; camera.moved = [0, 0, 0.05 * camera.away];
   }
   player.seek(take.start + %.4f * (take.stop - take.start)); player.paint();
   return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));

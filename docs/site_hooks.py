@@ -35,8 +35,13 @@ def on_page_content(html: str, **_: Any) -> str:
 
 def _whole(code: str) -> str:
     """Inline code as HTML: a short word stays whole, a long name may break at its marks."""
-    code = re.sub(r"(?<!\S)(?=\S*-)\S{2,24}(?!\S)", r'<span style="white-space:nowrap">\g<0></span>', code)
-    return re.sub(r"\b(?<![-<])\w+[/_.]\S{9,}", lambda m: re.sub(r"[/_.](?=\w)", r"\g<0><wbr>", m[0]), code)
+
+    def word(match: re.Match[str]) -> str:
+        if "-" in match[0] and 2 <= len(match[0]) <= 24:
+            return f'<span style="white-space:nowrap">{match[0]}</span>'
+        return re.sub(r"[/_.](?=\w)", r"\g<0><wbr>", match[0]) if len(match[0]) > 10 else match[0]
+
+    return re.sub(r"\S+", word, code)
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:

@@ -91,6 +91,8 @@ def test_the_site_holds_every_page_and_its_links_lead_somewhere(site: Path) -> N
     """Its links are looked at as it is built (--strict)."""
     pages = {page.stem for page in (ROOT / "docs").glob("*.md")} | {"index"}
     assert pages <= {page.stem for page in site.glob("*.html")}
+    for page in site.glob("*.html"):
+        assert "span>" not in re.sub(r"<[^<>]*>", "", page.read_text(encoding="utf-8")), page
     listed = re.findall(r": (\w+)\.md$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), re.MULTILINE)
     assert sorted(listed) == sorted(pages), "each page stands in the site's contents"
 

@@ -162,7 +162,7 @@ class Result:
         try:
             view = view_of(
                 self.system, self.logs, held_out=self.held_out, belief=self.belief, fitted=True,
-                title=f"{self.system.name}: {name}", verdicts=verdicts,
+                about=name, verdicts=verdicts,
                 bodies=[asdict(one) for one in self.found.bodies],
             )  # fmt: skip
         except LogError as error:

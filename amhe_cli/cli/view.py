@@ -48,7 +48,7 @@ def view(session: Session, given: Given) -> None:
         logs,
         held_out=held_out,
         threads=cores(),
-        title=f"{opened.name}: {given.source.name}",
+        about=given.source.name,
         warnings=session.warnings,
         **found.beside(opened, (logs or held_out)[0], known),
     )

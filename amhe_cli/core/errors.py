@@ -64,9 +64,10 @@ class Ending:
 
 
 def and_more(names: Sequence[str], most: int) -> str:
-    """The first names, and how many more there are: 'a, b and 3 more'."""
-    rest = f" and {len(names) - most} more" if len(names) > most else ""
-    return f"{', '.join(names[:most])}{rest}"
+    """The first names, and how many more there are: 'a, b and 3 more', never 'and 1 more'."""
+    if len(names) <= most + 1:
+        return ", ".join(names)
+    return f"{', '.join(names[:most])} and {len(names) - most} more"
 
 
 def one_of(kind: str, name: str, known: Iterable[str]) -> str:

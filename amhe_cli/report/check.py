@@ -204,8 +204,12 @@ def _together(hope: Expected) -> list[str]:
 
 
 def _size(p: ParameterResult) -> str:
-    """The sd as a share of the value; where that may be zero, in its unit."""
-    return numbers.percent(relative(p)) if p.sd < abs(p.estimate) else numbers.quantity(f"{p.sd:.2g}", p.unit)
+    """The sd as a share of the value; where that may be zero, or is before any log, in its unit."""
+    return (
+        numbers.percent(relative(p))
+        if p.prior and p.sd < abs(p.estimate)
+        else numbers.quantity(f"{p.sd:.2g}", p.unit)
+    )
 
 
 def relative(p: ParameterResult) -> float:

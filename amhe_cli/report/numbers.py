@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from amhe_cli.core.errors import and_more
+
 #: Names of a long list that are said.
 MOST_NAMES = 6
 #: Sizes below which numbers have an exponent, and below which, in their resolution, they are 0.
@@ -91,9 +93,8 @@ def named(values: Mapping[str, float]) -> str:
 
 
 def some(names: Sequence[str]) -> str:
-    """List of the first few: 'a, b and 3 more'."""
-    more = len(names) - MOST_NAMES
-    return joined(names) if more <= 1 else f"{', '.join(names[:MOST_NAMES])} and {more} more"
+    """List of the first few: 'a, b and 3 more', or 'a, b and c'."""
+    return joined(names) if len(names) <= MOST_NAMES + 1 else and_more(names, MOST_NAMES)
 
 
 def joined(names: Sequence[str]) -> str:

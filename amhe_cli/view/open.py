@@ -118,7 +118,7 @@ def view_of(
     first: Mapping[str, float] | None = None,
     fitted: bool = False,
     threads: int = 1,
-    title: str = "",
+    about: str = "",
     warnings: Sequence[str] = (),
     verdicts: Mapping[str, str] | None = None,
     bodies: Sequence[Mapping[str, Any]] = (),
@@ -138,7 +138,7 @@ def view_of(
             nominal ones.
         fitted: `belief` comes from these logs: those clips come first that were held out of the fit.
         threads: CPU threads; the page does not depend on them.
-        title: Title of the page; empty: the system's name.
+        about: What the page's title says behind the system's name; that of `identify --model` has none.
         warnings: Further sentences that a reader needs to know.
         verdicts: Verdict of each parameter by name.
         bodies: What is known of bodies, as in result.json, in place of the coordinates of their inertias.
@@ -169,7 +169,7 @@ def view_of(
     found = replace(found, recordings=(replace(recording, curves=curves, events=events), *others))
     seconds = sum(log.duration for log in (*logs, *held_out))
     heading = Heading(
-        title or system.name,
+        about if about and system.name == "system" else ": ".join(filter(None, (system.name, about))),
         (f"{seconds:.1f} s of log", f"{len(found.takes)} clips"),
         [*warnings, *_notes(found)],
         parameter_rows(system.space, begun, known, verdicts or {}, bodies),

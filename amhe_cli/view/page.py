@@ -189,11 +189,12 @@ def parameter_rows(
             estimate, lower, upper = known[p.name]
             row |= {"estimate": estimate, "lower": max(lower, p.lower), "upper": min(upper, p.upper)}
         rows.append(row | ({"hidden": True} if inertia_of(p.name) in whole else {}))
-    numbers = ("name", "estimate", "lower", "upper", "verdict")
-    return rows + [
-        {"unit": _unit(one["unit"]), "first": one["prior"]} | {name: one[name] for name in numbers}
-        for one in bodies
-    ]
+    for one in bodies:
+        rounding = 3e-4 * (one["upper"] - one["lower"])  # what is none of the interval's digits
+        values = {"first": one["prior"], **{name: one[name] for name in ("estimate", "lower", "upper")}}
+        values = {name: 0.0 if abs(value) < rounding else value for name, value in values.items()}
+        rows.append({"name": one["name"], "unit": _unit(one["unit"]), "verdict": one["verdict"], **values})
+    return rows
 
 
 def _about(scene: Scene, columns: Sequence[Plotted], candidates: Sequence[str]) -> dict[str, Any]:

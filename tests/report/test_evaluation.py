@@ -123,7 +123,7 @@ def test_figures_show_every_mode_and_what_is_true(groups: Groups) -> None:
     }
     assert list(sections) == [
         "Paths of the box", "Tracking of the forward speed", "Density of the running cost",
-        "Parameters over time", "T5: final configuration", "Ablations",
+        "Parameters over time", "T5: final configuration", "What each setting does",
     ]  # fmt: skip
     for panel in sections["Tracking of the forward speed"]:
         task = panel["title"].partition(":")[0].lower()
@@ -137,7 +137,7 @@ def test_figures_show_every_mode_and_what_is_true(groups: Groups) -> None:
     for line in densities:
         x, y = np.array(line["x"]), np.array(line["y"])
         assert np.sum(y) * (x[1] - x[0]) == pytest.approx(1.0, rel=0.05)
-    cost, success = sections["Ablations"][:2]
+    cost, success = sections["What each setting does"][:2]
     assert cost["lines"][0]["x"] == success["lines"][0]["x"] == [8, 16]
     assert cost["marks"][0]["at"] == 8.0 and max(success["lines"][0]["y"]) <= 100.0
 

@@ -109,7 +109,7 @@ def _inside(maker: CauseMaker, a: int) -> Iterator[Cause]:
         if factor <= 0.0 or (kind == "servo limit" and slows <= 0.0):
             continue
         stiff = f"{factor:.2g} times its gains" if np.ptp(gain) else f"{factor * gain[0]:.2g} {j.f}/{j.u}"
-        drive = f"as {stiff} less {slows:.2g} {j.f} s/{j.u}"
+        drive = f"as {stiff} {'plus' if slows < 0.0 else 'less'} {abs(slows):.2g} {j.f} s/{j.u}"
         text, repair = {
             "servo limit": (
                 f"{name} never exceeds {fast:.2g} {j.u}/s: its gains act inside a limit, "

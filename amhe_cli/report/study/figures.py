@@ -93,7 +93,7 @@ def drawn(groups: Groups, tried: Sequence[Ablation], floors: Floors) -> list[Sec
             if floors[task].one_leg
         ),
         (
-            "Ablations",
+            "What each setting does",
             "One setting is changed at a time: cost J, mean and sd over seeds; success with Wilson's 95 % "
             "interval. The line is the operating point.",
             [panel for one in tried for panel in _ablation(one)],

@@ -20,7 +20,10 @@ const isDark = () => rgb("back")[0] < 0.5;
 const minus = (text) => text.replace("-", "\u2212");
 const brief = (value) => minus(Math.abs(value) >= 1e4 || (value && Math.abs(value) < 1e-3) ? value.toExponential(1) : String(Number(value.toPrecision(3))));
 // With as many digits as tell 200 places of a range apart.
-const precise = (value, [low, high]) => minus(value.toFixed(Math.min(Math.max(0, Math.ceil(Math.log10(200 / Math.max(high - low, 1e-12)))), 8)));
+const precise = (value, [low, high]) => {
+  const places = Math.min(Math.max(0, Math.ceil(Math.log10(200 / Math.max(high - low, 1e-12)))), 8);
+  return minus((Number(value.toFixed(places)) + 0).toFixed(places));  // no -0
+};
 
 // A box of panels. A panel is { title, unit, x, lines, marks, log, low, high, equal, height }, a line { name, color, shape,
 // x, y, lower, upper, leads }; instead of lines there may be a function from the ends of x to lines.
@@ -183,7 +186,7 @@ class Panel {
     if (texts.has("measured") && texts.has("after")) texts.set("measured \u2212 after", { value: texts.get("measured").value - texts.get("after").value, color: "soft" });
     const unit = this.across.match(/\[(.*)\]/)?.[1] ?? "";
     this.number.replaceChildren(`${precise(there, this.x)} ${unit}`, ...[...texts].map(([name, { value, color }]) => {
-      const one = made("b", { title: name, textContent: (name.startsWith("measured \u2212") ? "\u0394\u00a0" : "") + (this.panel.log || Math.abs(value) < 1e-3 * (this.y[1] - this.y[0]) ? brief(value) : precise(value, this.y)) });
+      const one = made("b", { title: name, textContent: (name.startsWith("measured \u2212") ? "\u0394\u00a0" : "") + (this.panel.log ? brief(value) : precise(value, this.y)) });
       one.style.color = ink(color); return one;
     }));
   }

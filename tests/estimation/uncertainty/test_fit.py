@@ -263,9 +263,11 @@ def of_wrong_armature(pendulum: System, log: Log) -> FinalFit:
     return final_fit(problem, search.restart(problem, system.space.z_of(TRUTH[:3])))
 
 
-def test_a_warning_names_three_things_and_counts_the_rest(pendulum, swing, caplog) -> None:
+def test_a_warning_names_what_may_be_wrong(pendulum, swing, caplog) -> None:
     report_misfit(of_wrong_armature(pendulum, swing(4.0)))
-    listed = "now fixed are the gain of servo, the force limit of servo, armature at 0.007 and 1 more"
+    listed = (
+        "now fixed are the gain of servo, the force limit of servo, armature at 0.007, the commands' delay"
+    )
     assert listed in caplog.text and "play" not in caplog.text
 
 
