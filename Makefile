@@ -78,7 +78,9 @@ $(BIN)/python:
 	@touch $@
 
 .venv/.installed-dev: pyproject.toml | $(BIN)/python
-	@$(PIP) install --editable '.[dev]'
+	@# compiled by all cores, where pip takes one
+	@$(PIP) install --no-compile --editable '.[dev]'
+	@$(BIN)/python -m compileall -qq -j 0 .venv/lib || true
 	@# the maker's own library, to test against: not for every Python, and what it says it needs, it does not
 	@$(PIP) install --no-deps --only-binary :all: unitree-legged-sdk==3.8.20231105 2>/dev/null || true
 	@touch .venv/.installed $@
