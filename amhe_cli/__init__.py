@@ -82,14 +82,11 @@ def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(import_module(_HOMES[name]), name)
-    import_module("amhe_cli.core.shown").Displayed.painter = _painted
+    # the page of a value in a notebook: the room that draws it is loaded with the first
+    displayed = import_module("amhe_cli.core.shown").Displayed
+    displayed.painter = lambda value: import_module("amhe_cli.report.shown").shown(value)
     globals()[name] = value
     return value
-
-
-def _painted(value: Any) -> Any:
-    """The page of a value in a notebook; the room that draws it is loaded with the first."""
-    return import_module("amhe_cli.report.shown").shown(value)
 
 
 def __dir__() -> list[str]:

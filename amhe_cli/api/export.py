@@ -18,11 +18,12 @@ from amhe_cli.core.files import filling
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.report.folder import reserve
 from amhe_cli.system.description.folders import named_system
-from amhe_cli.system.export.loads import WRITERS, load_text, xacro_properties
-from amhe_cli.system.export.mjcf import identified_assets, identified_xml
+from amhe_cli.system.export.loads import WRITERS, load_of, xacro_properties
+from amhe_cli.system.export.mjcf import identified_assets, identified_spec, identified_xml
 from amhe_cli.system.export.randomisation import randomisation
 from amhe_cli.system.export.trainings import ISAACLAB_TOOL, MJLAB_TOOL
 from amhe_cli.system.export.urdf import identified_urdf
+from amhe_cli.system.model.files import compiled
 from amhe_cli.system.system import System
 
 _TRAININGS = {"mjlab": MJLAB_TOOL, "isaaclab": ISAACLAB_TOOL}
@@ -95,7 +96,8 @@ def _values(
     if to in WRITERS:
         if flange is None:
             raise ConfigError("`flange`: name the body whose load is written")
-        return {WRITERS[to][0]: load_text(system, belief.estimate, flange, to)}
+        file, text = WRITERS[to]
+        return {file: text(*load_of(compiled(identified_spec(system, belief.estimate)), flange))}
     if to == "xacro":
         return {"identified.xacro": xacro_properties(system, belief.estimate)}
     if to == "urdf" and urdf is None:

@@ -147,7 +147,9 @@ def _frictions(model: mujoco.MjModel, signals: Sequence[Guess]) -> Iterator[Gues
     for name in surfaces:  # of two geoms the higher priority decides, then the larger friction
         groups.setdefault(floor if name in fixed else max(surfaces[name], floor), []).append(name)
     for (priority, nominal), names in groups.items():
-        entry = entry_of(nominal, False, [_target(name, places[name][0]) for name in names])
+        geoms = {name: places[name][0] for name in names}  # "": all of a body
+        at = [{"geom": geom} if geom else {"body": name} for name, geom in geoms.items()]
+        entry = entry_of(nominal, False, [one | {"set": "sliding_friction"} for one in at])
         if names[0] in fixed or floor not in groups:
             if len(names) > len(fixed):
                 why = "friction of every contact: MuJoCo takes the larger one of both geoms, so both are set"
@@ -172,11 +174,6 @@ def _standing(model: mujoco.MjModel, geoms: IntArray) -> tuple[str, tuple[int, f
     bottoms = data.geom_xpos[geoms, 2] + (turned * middle - np.abs(turned) * half).sum(axis=1)
     lowest = int(geoms[np.argmin(bottoms)])
     return model.geom(lowest).name, ranks[lowest]
-
-
-def _target(body: str, geom: str) -> dict[str, str]:
-    """Where a friction is set: at one geom, or at all of a body."""
-    return {"geom" if geom else "body": geom or body, "set": "sliding_friction"}
 
 
 def _pair_frictions(model: mujoco.MjModel) -> Iterator[Guess]:

@@ -66,25 +66,6 @@ def diagonal(sd: float, active: BoolArray) -> FloatArray:
     return np.diag(np.where(active, sd, 0.0))
 
 
-def adapted(
-    covariance: FloatArray,
-    before: FloatArray,
-    floor: FloatArray,
-    active: BoolArray,
-    alike: Sequence[IntArray] | None = None,
-) -> FloatArray:
-    """Shape of two posterior sd, with a fading memory of the one before.
-
-    Args:
-        covariance: Posterior covariance of z, shape (d, d).
-        before: The shape before; its directions fade by 0.6 a time.
-        floor: Smallest sampling sd of each parameter, shape (d,).
-        active: Parameters that are sampled at all, shape (d,).
-        alike: Groups of parameters of which no sample mixes two; None: one group.
-    """
-    return bounded(4.0 * within(covariance, alike) + 0.36 * before @ before.T, floor, active, alike)
-
-
 def bounded(
     covariance: FloatArray, floor: FloatArray, active: BoolArray, alike: Sequence[IntArray] | None = None
 ) -> FloatArray:
@@ -92,7 +73,9 @@ def bounded(
 
     Args:
         covariance: Sampling covariance of z, shape (d, d); what it says across groups is ignored.
-        floor, active, alike: See `adapted`.
+        floor: Smallest sampling sd of each parameter, shape (d,).
+        active: Parameters that are sampled at all, shape (d,).
+        alike: Groups of parameters of which no sample mixes two; None: one group.
     """
     shape = np.zeros_like(covariance)
     for group in alike or [np.arange(len(covariance))]:
@@ -157,11 +140,6 @@ class Sparsity:
     def alike(self) -> list[IntArray]:
         """The parameters, those together that move the same measurements."""
         return alike(np.concatenate(list(self.z.values()), axis=1))
-
-    @property
-    def first_alike(self) -> list[IntArray]:
-        """The first-state errors, those together that move the same measurements."""
-        return alike(np.concatenate(list(self.first.values()), axis=1))
 
     def unknowns(self, first: bool) -> int:
         """Unknowns that a regression counts: those that move different measurements count once."""

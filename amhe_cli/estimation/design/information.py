@@ -60,7 +60,7 @@ def information_at(
     first = FirstStates.recorded(len(problem.clips), 0) if as_recorded else problem.recorded(cost)
     shape = np.diag(sampling_width(problem.system.space, setting.step) * problem.active)
     # of a few seconds, what is freed of jitter would say less than a log of the usual length will
-    found = problem.sampled(cost, z, first, shape, rng)
+    found = problem.linearised(cost, z, first, shape, rng, raw=True)
     return information(rescaled(found, fitted_noise_scale(found, information(found), {})))
 
 

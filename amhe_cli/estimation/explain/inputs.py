@@ -215,7 +215,8 @@ def _candidates(system: System) -> Iterator[Mended]:
         if key == other and kind == too:
             word = "swapped joints" if what == "joint" else "exchanged"
             text = f"the log's {one} and {two} are in each other's place"
-            yield Mended(word, f"{one}, {two}", text, _swapped(key, i, j), "their names exchanged")
+            mend = Remapped({key: {i: (j, 1.0), j: (i, 1.0)}})
+            yield Mended(word, f"{one}, {two}", text, mend, "their names exchanged")
 
 
 def _all_in(unit: str, factor: float, columns: Sequence[tuple[str, int]]) -> Iterator[Mended]:
@@ -235,10 +236,6 @@ def _all_in(unit: str, factor: float, columns: Sequence[tuple[str, int]]) -> Ite
 
 def _scaled(key: str, factors: Mapping[int, float]) -> Remapped:
     return Remapped({key: {i: (i, factor) for i, factor in factors.items()}})
-
-
-def _swapped(key: str, i: int, j: int) -> Remapped:
-    return Remapped({key: {i: (j, 1.0), j: (i, 1.0)}})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

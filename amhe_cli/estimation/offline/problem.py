@@ -21,6 +21,7 @@ from amhe_cli.estimation.core.linearise import (
     FirstStates,
     Linearisation,
     Sparsity,
+    alike,
     averaged,
     diagonal,
     linearise,
@@ -187,22 +188,11 @@ class Problem:
         rng: np.random.Generator,
         *,
         straight: bool = False,
-    ) -> Linearisation:
-        """Slopes as `sampled`, `averaged` where the model is not smooth."""
-        found = self.sampled(cost, z, first, shape, rng, straight=straight)
-        return averaged(found, shape) if self.non_smooth else found
-
-    def sampled(
-        self,
-        cost: MatchingCost,
-        z: FloatArray,
-        first: FirstStates,
-        shape: FloatArray,
-        rng: np.random.Generator,
-        *,
-        straight: bool = False,
+        raw: bool = False,
     ) -> Linearisation:
         """Slopes of a cost about z (d,) and first-state errors, from samples of a shape (d, d).
+
+        They are `averaged` where the model is not smooth, unless they are to stay `raw`.
 
         Efforts along a motion never jitter: the shortest steps give their slopes exactly, where wider ones
         would bend along the valleys of numbers that only together are known well.
@@ -210,7 +200,8 @@ class Problem:
         if self.system.match == "effort":
             straight, shape = True, SHORTEST * shape
         samples = self.settings.identify.samples
-        return linearise(cost, z, first, shape, samples, rng, straight=straight, sparsity=self.sparsity)
+        found = linearise(cost, z, first, shape, samples, rng, straight=straight, sparsity=self.sparsity)
+        return averaged(found, shape) if self.non_smooth and not raw else found
 
     def recorded(self, cost: MatchingCost) -> FirstStates:
         """First states of a cost's clips as recorded; without errors where the settings fit none."""
@@ -220,8 +211,8 @@ class Problem:
     def first_states(self, info: Information, dz: FloatArray) -> FirstStates:
         """Posterior of the clips' first states after a step of z (d,)."""
         sparsity = self.sparsity if info.nuisance.shape[1] else None  # recorded first states have no errors
-        alike = None if sparsity is None else sparsity.first_alike
-        return info.first_states(dz, NARROWEST if self.non_smooth else self.finest, alike)
+        groups = None if sparsity is None else alike(np.concatenate(list(sparsity.first.values()), axis=1))
+        return info.first_states(dz, NARROWEST if self.non_smooth else self.finest, groups)
 
     @property
     def finest(self) -> float:

@@ -27,12 +27,12 @@ from amhe_cli.estimation.core.linearise import (
     WIDEST,
     FirstStates,
     Linearisation,
-    adapted,
     bounded,
     changed,
     coordinates,
     diagonal,
     sampling_sd,
+    within,
 )
 from amhe_cli.estimation.core.result import Iteration
 from amhe_cli.estimation.offline.problem import Problem, spread_floor
@@ -337,8 +337,10 @@ def _reshaped(
         return bounded(4.0 * state.shape @ state.shape.T, floor, problem.active, problem.alike)
     matrix = straight.matrix.sum(axis=0) * problem.coverage(windows)
     covariance = np.linalg.inv(matrix + problem.system.space.prior_precision)
-    before = state.shape if problem.touches else np.zeros_like(state.shape)
-    return adapted(covariance, before, floor, problem.active, problem.alike)
+    wide = 4.0 * within(covariance, problem.alike)
+    if problem.touches:  # with a fading memory of the shape before
+        wide += 0.36 * state.shape @ state.shape.T
+    return bounded(wide, floor, problem.active, problem.alike)
 
 
 def _next_stage(

@@ -20,9 +20,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError, one_of
-from amhe_cli.system.export.mjcf import identified_spec
 from amhe_cli.system.model.elements import names_of
-from amhe_cli.system.model.files import compiled
 from amhe_cli.system.parameters.inertia import inertia_of
 from amhe_cli.system.system import System
 
@@ -93,15 +91,6 @@ def principal(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
 WRITERS: Mapping[str, tuple[str, Callable[[float, FloatArray, FloatArray], str]]] = {
     "ur": ("load.script", _ur), "franka": ("load.json", _franka), "kuka": ("load.dat", _kuka),
 }  # fmt: skip
-
-
-def load_text(system: System, theta: FloatArray, flange: str, kind: str) -> str:
-    """The load at a flange under parameters theta (d,), as an arm takes it.
-
-    Raises:
-        ConfigError: The model has no such body.
-    """
-    return WRITERS[kind][1](*load_of(compiled(identified_spec(system, theta)), flange))
 
 
 def xacro_properties(system: System, theta: FloatArray) -> str:
