@@ -146,7 +146,7 @@ def test_random_models_on_which_searches_of_other_seeds_differ(model: int) -> No
     system, log = chain(np.random.default_rng(model))
     middles, sds = [], []
     for engine in (open_engine(system), Single(open_engine(system))):
-        fits = [fitted(system, [log], engine, seed) for seed in range(5)]
+        fits = [fitted(system, [log], engine, seed) for seed in range(3)]
         middles.append(np.median([fit.z for fit in fits], axis=0))
         sds.append(np.median([fit.posterior.sd for fit in fits], axis=0))
     assert (np.abs(middles[1] - middles[0]) < 0.2 * sds[0]).all()
