@@ -34,6 +34,7 @@ from amhe_cli.study.goals import goals
 from amhe_cli.study.store import Study
 from amhe_cli.study.summary import Groups, ablations
 from amhe_cli.view.live import WindowsShown
+from tests.cli.test_audit import spoilt
 from tests.report.synthetic import identification
 from tests.report.test_identification import page as report_of
 from tests.study.cells_at_play import result
@@ -86,7 +87,16 @@ def compare(folder: Path) -> Iterator[Sequence[str]]:
     """The page of `amhe compare`, of two models."""
     free = amhe.System.load("pendulum", QUICK)
     systems = [free, free.fixing({"damping": 0.4})]
-    amhe.compare(systems, [[amhe.read_log("example:pendulum", one)] for one in systems]).save(folder / "o")
+    logs = [[amhe.read_log("example:pendulum", one, end=4.0)] for one in systems]
+    amhe.compare(systems, logs).save(folder / "o")
+    yield ["o/report.html"]
+
+
+@contextmanager
+def audit(folder: Path) -> Iterator[Sequence[str]]:
+    """The page of `amhe audit`, of a file with numbers that a log contradicts."""
+    model, log = spoilt(folder)
+    assert run(["audit", str(model), str(log), "-o", str(folder / "o"), "-q"]) == 0
     yield ["o/report.html"]
 
 
@@ -142,7 +152,10 @@ def served(folder: Path) -> Iterator[Sequence[str]]:
 
 #: What makes pages -> how.
 KINDS: dict[str, Maker] = {
-    "identify": of_commands("report.html view.html", "identify example:pendulum -o OUT"),
+    "identify": of_commands(
+        "report.html view.html",
+        "identify example:pendulum --set clips.count=6 --set identify.iterations=3 -o OUT",
+    ),
     "verdicts": verdicts,
     "efforts": of_commands(
         "o/report.html o/view.html",
@@ -160,7 +173,7 @@ KINDS: dict[str, Maker] = {
         "report.html", "probe --system pendulum --seconds 3 --set probe.candidates=4 -o OUT"
     ),
     "compare": compare,
-    "audit": of_commands("report.html", "audit example:arm_torque example:arm_torque -o OUT"),
+    "audit": audit,
     "check": of_commands(
         "model.html log.html",
         "check example:arm -o OUT/model.html",
