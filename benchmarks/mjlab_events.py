@@ -32,8 +32,8 @@ from mjlab.sim import Simulation, SimulationCfg
 
 #: Rounding of single precision, as a share.
 ROUNDING = 1e-5
-#: How far targets leap [rad].
-LEAP = 0.1
+#: How far targets leap [rad], and after how many steps: mjlab delays nothing before its buffers are full.
+LEAP, FIRST = 0.1, 50
 
 
 def names_of(path: Path) -> dict[str, Any]:
@@ -99,7 +99,7 @@ def moved(env: Any, late: torch.Tensor, seconds: float = 0.5) -> torch.Tensor:
     """Joint positions (steps, envs, joints) where all targets leap by LEAP, `late` [steps] by environment."""
     robot, found = env.scene["robot"], []
     for step in range(round(seconds / env.sim.mj_model.opt.timestep)):
-        leap = LEAP * (step >= late).float()[:, None]
+        leap = LEAP * (step >= FIRST + late).float()[:, None]
         robot.set_joint_position_target(robot.data.default_joint_pos + leap)
         env.scene.write_data_to_sim()
         env.sim.step()

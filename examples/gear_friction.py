@@ -12,8 +12,9 @@ class GearFriction:
 
     def __init__(self, model, batch=None, xp=np):
         self.model, self.xp = model if batch is None else batch, xp
-        gears = [i for i in range(model.nnumeric) if model.numeric(i).name.startswith("gear_friction/")]
-        self.dofs = [int(model.joint(model.numeric(i).name[14:]).dofadr[0]) for i in gears]
+        gears = [i for i in range(model.nnumeric) if "gear_friction/" in model.numeric(i).name]
+        joints = [model.numeric(i).name.replace("gear_friction/", "") for i in gears]  # mjlab: robot/JOINT
+        self.dofs = [int(model.joint(name).dofadr[0]) for name in joints]
         self.dry = 0.0 + self.model.dof_frictionloss[..., self.dofs]
         numbers = np.array([model.numeric(i).data for i in gears]).reshape(-1, 8).T
         self.numbers = xp.asarray(numbers, dtype=self.dry.dtype, device=self.dry.device)

@@ -285,7 +285,11 @@ def test_a_gear_that_locks_holds_its_load(k: float, moves: bool) -> None:
     fields = ("qfrc_actuator", "qfrc_constraint", "qfrc_smooth", "qfrc_damper", "qvel")
     several = SimpleNamespace(**{name: np.tile(getattr(data, name), (3, 1)) for name in fields})
     batch = SimpleNamespace(dof_frictionloss=np.full((3, 1), 0.01))
-    as_in_mjlab = names["GearFriction"](model, batch)
+    scene = mujoco.MjSpec()
+    scene.option.timestep = STEP
+    robot = mujoco.MjSpec.from_string(GEARED_ARM.format(dt=STEP, k=k))
+    scene.attach(robot, prefix="robot/", frame=scene.worldbody.add_frame())
+    as_in_mjlab = names["GearFriction"](scene.compile(), batch)
     batch.dof_frictionloss[:] = model.dof_frictionloss
     as_in_mjlab(several)
     hook(data)
