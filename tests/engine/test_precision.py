@@ -132,11 +132,13 @@ def chain(rng: np.random.Generator) -> tuple[System, Log]:
 @pytest.mark.slow
 @pytest.mark.parametrize("first", range(0, 200, 50))
 def test_random_models(first: int) -> None:
-    """Of every fifth its estimate is compared; the search of the next ends, too."""
-    for seed in range(first, first + 50, 5):
-        assert apart(*chain(np.random.default_rng(seed))) < 0.2, seed
-        system, log = chain(np.random.default_rng(seed + 1))
-        assert np.isfinite(fitted(system, [log], Single(open_engine(system))).posterior.sd).all(), seed + 1
+    """Each search ends; of every fifth, its estimate is compared."""
+    for seed in range(first, first + 50):
+        system, log = chain(np.random.default_rng(seed))
+        if seed % 5:
+            assert np.isfinite(fitted(system, [log], Single(open_engine(system))).posterior.sd).all(), seed
+        else:
+            assert apart(system, log) < 0.2, seed
 
 
 @pytest.mark.slow
