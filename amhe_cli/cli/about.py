@@ -63,12 +63,17 @@ def _examples(session: Session, given: Given) -> None:
 @command("The bundled systems: names for --system.", name="systems", simulates=False)
 def _systems(session: Session, given: Given) -> None:
     """List the systems that come with amhe, and their parameters; your own is a folder with a system.yaml."""
+    from textwrap import fill
+
     from amhe_cli.system.description.folders import bundled_systems, parameter_names
 
     found = {name: parameter_names(folder) for name, folder in bundled_systems().items()}
     if not session.gave(session.record(systems=found)):
+        width = session.console().width
         for name, parameters in found.items():
-            print(f"{name:<12} {', '.join(parameters)}")
+            print(
+                fill(", ".join(parameters), width, initial_indent=f"{name:<13}", subsequent_indent=13 * " ")
+            )
 
 
 @command(
