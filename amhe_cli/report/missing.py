@@ -13,7 +13,7 @@ from amhe_cli.report import numbers
 from amhe_cli.report.comparison import heads, horizon_record, together
 from amhe_cli.report.figures import missing_figure
 from amhe_cli.report.held_out import sized
-from amhe_cli.report.page import Section, page
+from amhe_cli.report.page import Section, Statement, page
 from amhe_cli.report.tables import NUMBER, STRONG, TEXT, Table, rich_table
 
 
@@ -143,18 +143,19 @@ def missing_page(source: str, found: Missing, command: str) -> str:
     """The page of `amhe explain`.
 
     Args:
-        source: The folder of the result.
+        source: Name of the result.
         found: What it lacks.
         command: The command line.
     """
-    count = len(found.rows)
-    lacks = f"{count} cause{'s' * (count > 1)} of what the model of {source} does not explain."
+    most, tried = found.rows[:1], [row.name for row in found.rows if row.repair]
+    lacks = [f"{numbers.percent(one.share)} of what the model misses: {one.text}." for one in most]
+    cure = f"amhe identify with --repair tries {numbers.some(tried)}." if tried else ""
     return page(
         "explain",
         title=source,
         facts=(f"causes tried: {found.tested}",) if found.tested else (),
-        headline=lacks if found.rows else f"{rest(found).capitalize()}.",
-        statements=(),
+        headline=lacks[0] if lacks else f"{rest(found).capitalize()}.",
+        statements=[Statement("mixed", cure)] if cure else [],
         sections=[
             *([missing_section(found)] if found.rows else []),
             Section("How it was made", items=[command], files=True, folded=True),

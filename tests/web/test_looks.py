@@ -179,6 +179,11 @@ KINDS: dict[str, Maker] = {
         "check example:arm -o OUT/model.html",
         "check example:arm_torque example:arm_torque --page OUT/log.html",
     ),
+    "explain": of_commands(
+        "causes.html",
+        "identify example:pendulum --only load_mass,*damping -o OUT/lie",
+        "explain OUT/lie -o OUT/causes.html",
+    ),
     "eval": study,
     "watch": watch,
     "notebook": notebook,
