@@ -118,8 +118,8 @@ def let_down(robot: RobotSocket, settings: Go1Settings, clock: Clock, least: flo
 
 #: Turns of the motors' mode whose echoes are timed, and the time given to one [s].
 _TURNS, _PATIENCE = 10, 0.1
-#: Shortest and longest time over which the robot's clock is compared with ours [s]: states may be late.
-_PACED, _PACED_LONGEST = 0.25, 1.0
+#: The robot's clock is compared with ours over times of this length [s], and so many of them.
+_PACED, _PACES = 0.25, 5
 #: How far the pace may be from 1: clocks differ by far less, a forgotten `slow` by far more.
 _PACE_ERROR = 0.05
 #: Motors that nobody drives have less torque than this [N m].
@@ -159,13 +159,12 @@ class Contact:
     Attributes:
         mode: Mode to command now.
         driven: Whether another program drives the motors.
-        pace: Recent seconds of the robot's clock per second of ours; 0: not known yet.
     """
 
     mode: int = DAMPED
     driven: bool = False
-    pace: float = 0.0
-    _paced: tuple[int, float] = (0, -math.inf)
+    _paced: tuple[int, float] = (0, math.inf)
+    _paces: deque[float] = field(default_factory=lambda: deque(maxlen=_PACES))
     _echoes: dict[int, list[float]] = field(default_factory=lambda: {DAMPED: [], SERVO: []})
     _turned: float = -1.0
     _good: int = 0
@@ -194,8 +193,8 @@ class Contact:
     def _see_pace(self, tick: int, arrival: float) -> None:
         since = arrival - self._paced[1]
         if since >= _PACED:
-            self.pace = 1e-3 * (tick - self._paced[0]) / since
-        if since >= _PACED_LONGEST:
+            self._paces.append(1e-3 * (tick - self._paced[0]) / since)
+        if abs(since) >= _PACED:  # the first state, too
             self._paced = tick, arrival
 
     def see_strange(self, size: int, why: str) -> None:
@@ -211,6 +210,14 @@ class Contact:
     def round_trip(self) -> float:
         """Time for a command to go there and back [s]; 0 before the first echo."""
         return statistics.median(echoes) if (echoes := list(chain(*self._echoes.values()))) else 0.0
+
+    @property
+    def pace(self) -> float:
+        """Recent seconds of the robot's clock per second of ours; 0: not known yet.
+
+        The median of several times: a computer that once stands still spoils one of them.
+        """
+        return statistics.median(self._paces) if self._paces else 0.0
 
     @property
     def in_step(self) -> bool:

@@ -201,8 +201,8 @@ class Witness:
         trunk = self._window(self._names[0], _BRIEF)
         if not (near and trunk):
             return ""
-        gap = self._gap(trunk, near)
-        self._gaps.append((near[-1].time, gap))
+        nearest, gap = self._gap(trunk, near)
+        self._gaps.append((near[-1].time, nearest))
         if gap < -self._gate * _FACE:
             return f"the robot would be {-100.0 * gap:.1f} cm inside the box: one of them is not there"
         if not box or min(gap for time, gap in self._gaps if time > box[0].time) < _UNTOUCHED:
@@ -213,20 +213,30 @@ class Witness:
         words = f"the box moves by {100.0 * moved:.1f} cm, and nothing touches it"
         return words if moved > self._gate * sd else ""
 
-    def _gap(self, trunk: list[Seen], box: list[Seen]) -> float:
-        """Distance of the box from bumper and feet [m]; negative: they would be inside it by that."""
+    def _gap(self, trunk: list[Seen], box: list[Seen]) -> tuple[float, float]:
+        """Least and largest distance of the box from bumper and feet [m]; negative: they would be inside it.
+
+        Between two states feet are where a line joins them, as uncertain as the trunk's way over them.
+        """
         time = float(np.mean([one.time for one in box]))
-        felt = min(self._felt, key=lambda one: abs(one.time - time))
+        states = sorted(self._felt, key=lambda one: one.time)
+        after = next((i for i, one in enumerate(states[1:], 1) if one.time >= time), len(states) - 1)
+        one, other = states[after - 1], states[after]
+        share = np.clip((time - one.time) / max(other.time - one.time, 1e-9), 0.0, 1.0)
+        unfelt = _DRIVE * np.sqrt(max(other.blind - one.blind, 0.0) / 12.0)
         (place, turn), (centre, yaw) = (
             (np.mean([one.position for one in seen], axis=0), mean([one.orientation for one in seen]))
             for seen in (trunk, box)
         )
-        points = rotate(turn, np.vstack((_BUMPER, felt.feet))) + place - centre
+        points = np.vstack((_BUMPER, one.feet + share * (other.feet - one.feet)))
+        points = rotate(turn, points) + place - centre
         outside = np.abs(rotate(conjugate(yaw), points)) - self._half
         flat = outside[:, :2]
         gaps = np.linalg.norm(np.maximum(flat, 0.0), axis=1) + np.minimum(flat.max(axis=1), 0.0) - _RADII
         beside = outside[:, 2] < _RADII
-        return float(gaps[beside].min()) if beside.any() else np.inf
+        off = self._gate * unfelt * (np.arange(len(gaps)) >= len(_BUMPER))
+        least, largest = (float(np.min(each[beside], initial=np.inf)) for each in (gaps - off, gaps + off))
+        return least, largest
 
 
 def _at(time: float, times: FloatArray, values: FloatArray) -> FloatArray:

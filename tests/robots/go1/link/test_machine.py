@@ -16,7 +16,7 @@ from amhe_cli.robots.go1.kinematics import HOME, TORQUE_LIMIT
 from amhe_cli.robots.go1.link.machine import TRIPS, Machine
 from amhe_cli.robots.go1.link.mail import HIGHEST, LOWEST, Inbox, Phase, Sent, Targets, allowed
 from amhe_cli.robots.go1.link.packets import SERVO, MotorCommand, pressing
-from amhe_cli.robots.go1.link.sender import next_tick
+from amhe_cli.robots.go1.link.sender import Contact, next_tick
 from amhe_cli.robots.go1.model import layout, planner_model
 from amhe_cli.robots.go1.settings import Go1Settings, TripSettings
 from tests.robots.go1.stand_ins import FOLDED, a_state
@@ -394,3 +394,17 @@ def test_every_fault_is_explained() -> None:
     section = PAGE.split("## What can go wrong on the emulator")[1].split("\n## ")[0]
     documented = set(re.findall(r"`(\w+)`", section.split("| sort |")[1]))
     assert documented == {fault.name for fault in fields(Faults)}
+
+
+@pytest.mark.parametrize("pace", [1.0, 0.5])
+@pytest.mark.parametrize("waited", [False, True])
+def test_a_computer_that_once_stands_still_does_not_change_the_robots_pace(pace: float, waited: bool) -> None:
+    """For 0.5 s states wait for it, or the robot's clock stands still with it, as an emulator's does."""
+    contact = Contact()
+    for tick in range(3000):
+        time = 0.001 * tick / pace
+        late = max(1.7 - time, 0.0) if waited else 0.5
+        contact._see_pace(tick, time + late * (time > 1.2))
+        if time > 1.0:
+            assert contact.pace == pytest.approx(pace, rel=0.02)
+            assert contact.in_step == (pace == 1.0)

@@ -100,6 +100,22 @@ def test_a_way_through_lost_states_is_as_uncertain_as_it_is_long() -> None:
     assert "contradict" in walk.cycles(0.6)
 
 
+@pytest.mark.parametrize(("gap", "face", "inside"), [(0.0, 0.3, True), (0.3, 0.3, False), (0.3, 0.2, True)])
+def test_feet_of_before_a_gap_are_not_inside_the_box(gap: float, face: float, inside: bool) -> None:
+    """Before a gap front feet reached 4 cm into where the box is in it; a bumper is known in a gap, too."""
+    robot, witness = np.zeros(10, dtype=SAMPLE), Witness(6.0, 0.5, "go1", "box", SIZE)
+    robot["quaternion"], low = LEVEL, np.array([0.0, 0.0, -HOME_HEIGHT])
+    ahead = (0.34 - FOOT_RADIUS - FEET[:, 0].max()) * AHEAD_ONLY
+    for time in (0.0, 0.02, 0.34) if gap else np.arange(0.0, 0.35, 0.02):
+        robot["time"] = time + 0.002 * np.arange(10)
+        robot["joints"] = joint_angles(FEET + low + ahead * (time < 0.1 or not gap))
+        witness.feel(robot)
+    for time in np.arange(0.0, 0.16, 0.01):  # the first half of the gap
+        witness.see("go1", time, (-low, LEVEL))
+        witness.see("box", time, (np.array([face + 0.15, 0.0, 0.15]), LEVEL))
+    assert ("inside the box" in witness.contradiction) == inside
+
+
 def test_states_that_are_lost_within_a_block_count_as_long_as_they_are() -> None:
     witness, robot = Witness(6.0, 0.5, "go1", "box", SIZE), np.zeros(10, dtype=SAMPLE)
     robot["time"] = 0.002 * np.arange(10) + 0.16 * (np.arange(10) > 6)
