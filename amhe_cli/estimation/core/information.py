@@ -20,7 +20,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray, sealed
+from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray, namespace_of, sealed, to_host
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.statistics import autocorrelation_time, mean_within, pseudo_huber_weight
 from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, turns
@@ -163,7 +163,41 @@ def information(
     arrays = gz, gx, bent, known.weight * known.residual * np.sqrt(each)
     both = [_sandwich(*(array[clips] for array in arrays)) for clips in some]
     curvature, scatter = map(np.concatenate, zip(*both, strict=True))
+    if slopes.averaged:
+        scatter = scatter + _unsteady(slopes, known, each)
     return replace(known, curvature=curvature, scatter=scatter)
+
+
+def of_jitter(slopes: Linearisation, known: Information) -> FloatArray:
+    """Covariance of each clip's score that the jitter of the mean of a pair makes, shape (c, d, d).
+
+    After a contact that meets otherwise all residuals differ: what jitter does to a score is far more than
+    if it were white.
+    """
+    curves = slopes.curves - slopes.curves.mean(axis=0)
+    pull = namespace_of(curves).asarray(_pull(slopes, known))
+    scores = to_host(pull @ curves.transpose(1, 2, 0))
+    return scores @ scores.transpose(0, 2, 1) / max(len(curves) - 1, 1)
+
+
+def _pull(slopes: Linearisation, known: Information) -> FloatArray:
+    """By how much each residual moves its clip's score, the nuisances eliminated, shape (c, d, R)."""
+    gz, gx = np.split(slopes.gain, [known.matrix.shape[1]], axis=1)
+    moved: FloatArray = (gz + known.nuisance_gain.transpose(0, 2, 1) @ gx) * known.weight[:, None]
+    return moved
+
+
+def _unsteady(slopes: Linearisation, known: Information, times: FloatArray) -> FloatArray:
+    """Covariance of each clip's score, (c, d, d), that the log's own jitter makes, beyond its squares.
+
+    A log is one run, whose jitter has twice the variance of the mean of a pair; its residuals are counted
+    from the mean of h pairs, which jitters, too. What residuals show already, jitter as if it were white or
+    had their autocorrelation times (R,), is left out.
+    """
+    pull = _pull(slopes, known)
+    white = (pull * (times * slopes.bend)[:, None]) @ pull.transpose(0, 2, 1)
+    values, vectors = np.linalg.eigh((2.0 + 1.0 / len(slopes.pairs)) * of_jitter(slopes, known) - 2.0 * white)
+    return (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.transpose(0, 2, 1)
 
 
 def _sandwich(

@@ -230,6 +230,7 @@ class Linearisation:
         pairs: The w of the z of h pairs, shape (h, d).
         completed: Clips that could be linearised, shape (c,).
         rollouts, diverged: Number of rollouts, and how many of them diverged.
+        averaged: The model is not smooth: see `averaged`.
     """
 
     cost: MatchingCost
@@ -243,6 +244,7 @@ class Linearisation:
     completed: BoolArray
     rollouts: int
     diverged: int
+    averaged: bool = False
 
 
 def linearise(
@@ -322,7 +324,7 @@ def averaged(found: Linearisation, shape: FloatArray) -> Linearisation:
     slopes = np.concatenate((shape.T @ gz, first[own].transpose(0, 2, 1) @ gx), axis=1)
     slopes = without_jitter(slopes, found.bend[own], len(found.pairs), len(shape))
     freed[own] = _by_coordinates(slopes, shape, first[own])
-    return replace(found, gain=freed)
+    return replace(found, gain=freed, averaged=True)
 
 
 def _samples(

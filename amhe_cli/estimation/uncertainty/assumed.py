@@ -32,7 +32,7 @@ from amhe_cli.estimation.core.information import (
     gauss_newton_step,
     information,
     objective,
-    of_residuals,
+    of_jitter,
 )
 from amhe_cli.estimation.uncertainty.fit import FinalFit, posterior
 from amhe_cli.estimation.uncertainty.ledger import Source, Term
@@ -162,16 +162,12 @@ def _samples(fit: FinalFit) -> tuple[FloatArray, FloatArray | None]:
 def _beyond_jitter(fit: FinalFit, z: FloatArray) -> FloatArray:
     """What of the move (d,) of an estimate between means of some rollouts is no draw of their jitter.
 
-    Jitter counts in the noise already. The mean of a pair errs by the variance of the bend; of the move's
-    square, in units of the covariance that this gives it, chance makes the rank (James and Stein 1961).
+    Jitter counts in the noise already. Of the move's square, in units of the covariance that it gives to the
+    difference of such means, chance makes the rank (James and Stein 1961).
     """
-    jitter = fit.slopes.bend * of_residuals(fit.slopes.cost, fit.times)
+    jitter = np.einsum("c,cij->ij", fit.weight, of_jitter(fit.slopes, fit.information))
     jitter = jitter * (1.0 / PAIRS + 1.0 / len(fit.slopes.pairs))
-    pull = np.sqrt(jitter) * fit.information.weight
-    gz, gx = np.split(fit.slopes.gain, [len(z)], axis=1)
-    slope = gz + fit.information.nuisance_gain.transpose(0, 2, 1) @ gx
-    moved = np.sqrt(fit.weight)[:, None, None] * slope * pull[:, None]
-    covariance = fit.posterior.inverse @ np.einsum("cir,cjr->ij", moved, moved) @ fit.posterior.inverse
+    covariance = fit.posterior.inverse @ jitter @ fit.posterior.inverse
     distance = float(z @ np.linalg.pinv(covariance, rcond=RANK, hermitian=True) @ z)
     chance = np.linalg.matrix_rank(covariance, tol=RANK * np.linalg.norm(covariance, 2), hermitian=True)
     return z * np.sqrt(max(1.0 - chance / max(distance, 1e-300), 0.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,6 +13,7 @@ from amhe_cli.core.arrays import FloatArray, to_host
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.core.information import (
     Information,
+    _pull,
     clip_weights,
     fitted_noise_scale,
     gauss_newton_step,
@@ -255,3 +257,23 @@ def test_weights_fall_with_outliers_noise_and_autocorrelation() -> None:
     np.testing.assert_allclose(weights(cost, residual, (1.0, 4.0), (9.0, 1.0))[:, :10], 1.0 / 9.0)
     residual[1, 3] = 300.0
     assert weights(cost, residual, (1.0, 1.0))[1, 3] == pytest.approx(0.01, rel=1e-3)
+
+
+@pytest.mark.parametrize(("lasts", "plain"), [(1, 1.0), (25, 0.35)])
+def test_a_score_scatters_as_over_runs_whether_or_not_their_jitter_lasts(
+    cost: MatchingCost, lasts: int, plain: float
+) -> None:
+    """Jitter that is small beside the noise counts by what it does to the score."""
+    rng, slopes = np.random.default_rng(0), about(cost, FirstStates.recorded(len(cost.clips.windows), 0))
+    white = rng.standard_normal((200, *slopes.bend.shape))
+    jitter = 0.5 / np.sqrt(lasts) * np.apply_along_axis(np.convolve, 2, white, np.ones(lasts), "same")
+    runs, means = jitter + rng.standard_normal(jitter.shape), 0.5 * (jitter[::2] + jitter[1::2])
+    jagged = replace(slopes, curves=means, bend=means.var(axis=0), pairs=np.ones((100, 4)), averaged=True)
+    ratios = []
+    for run in runs[:10]:
+        kept, left = (information(replace(jagged, residual=run, averaged=own)) for own in (True, False))
+        scores = np.einsum("cdr,hcr->hcd", _pull(jagged, kept), runs)
+        ratios.append(
+            [np.trace(one.scatter.sum(axis=0)) / (scores**2).sum() * len(runs) for one in (kept, left)]
+        )
+    np.testing.assert_allclose(np.mean(ratios, axis=0), (1.0, plain), atol=0.2)

@@ -422,8 +422,12 @@ def test_a_sharp_log_that_rules_other_contacts_out_allows_less_of_them() -> None
 
 def test_a_move_that_a_draw_of_jitter_makes_does_not_count_again() -> None:
     rng, fit = np.random.default_rng(0), sliding(1e-2)
-    bend = rng.uniform(0.5, 1.0, fit.slopes.bend.shape)
-    found, jagged = fit.information, replace(fit, slopes=replace(fit.slopes, bend=bend))
+    pairs, bend = (
+        rng.standard_normal((200, *fit.slopes.bend.shape)),
+        rng.uniform(0.5, 1.0, fit.slopes.bend.shape),
+    )
+    curves = np.sqrt(bend) * pairs
+    found, jagged = fit.information, replace(fit, slopes=replace(fit.slopes, curves=curves))
     gz, gx = np.split(fit.slopes.gain, [len(fit.z)], axis=1)
     slope = gz + found.nuisance_gain.transpose(0, 2, 1) @ gx
     size = np.sqrt(bend * (1.0 / module.PAIRS + 1.0 / len(fit.slopes.pairs)))

@@ -146,7 +146,8 @@ def test_estimates_under_a_robust_loss_scatter_as_their_covariance_says(width: i
             slopes: Any = SimpleNamespace(
                 cost=cost, residual=noise + np.einsum("d,cdr->cr", z, gz),
                 gain=np.concatenate((gz, gx), axis=1), bend=0.0,
-                first=SimpleNamespace(mean=np.zeros((clips, 2))), completed=np.ones(clips, dtype=bool),
+                first=SimpleNamespace(mean=np.zeros((clips, 2))), averaged=False,
+                completed=np.ones(clips, dtype=bool),
             )  # fmt: skip
             result = posterior(z, information(slopes), np.ones(clips), nothing)
             z = z + result.step
