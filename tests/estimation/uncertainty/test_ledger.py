@@ -156,6 +156,7 @@ def repeating(residual: FloatArray) -> tuple[float, float]:
         gain=np.ones((clips, 1, samples)),
         bend=np.zeros_like(residual),
         first=SimpleNamespace(mean=np.zeros((clips, 0))),
+        averaged=False,
         completed=np.ones(clips, dtype=bool),
     )
     weight = np.ones(clips)
