@@ -84,7 +84,7 @@ def check(session: Session, given: Given) -> int | None:
         for text in missed:
             console.print(f"not reached: {text}", style="yellow")
     about = (path.name, facts, found, hope, moved, missed, session.command_line)
-    given.write(record, lambda: check_page(*about))
+    given.write_out(record, lambda: check_page(*about))
     return LOSSY if missed else None
 
 

@@ -119,7 +119,7 @@ class Given(SimpleNamespace):
         session.folder = reserve(self.out, session.name, self.force)
         return session.folder
 
-    def write(self, record: object, page: Callable[[], str] | None = None) -> None:
+    def write_out(self, record: object, page: Callable[[], str] | None = None) -> None:
         """Write the file of --out, if any: the page, or the record where there is none or it is .json."""
         if self.out is None:
             return

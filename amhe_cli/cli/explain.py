@@ -54,4 +54,4 @@ def explain(session: Session, given: Given) -> None:
     record = session.record(missing=missing_record(missing))
     if not session.gave(record):
         print_missing(missing, session.console())
-    given.write(record, lambda: missing_page(given.source.resolve().name, missing, session.command_line))
+    given.write_out(record, lambda: missing_page(given.source.resolve().name, missing, session.command_line))

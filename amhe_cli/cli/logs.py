@@ -41,7 +41,7 @@ def inspect(session: Session, given: Given) -> int | None:
     record = session.record(logs=[inspection_record(one) for one in found])
     for one in () if session.gave(record) else found:
         print_inspection(one, session.console())
-    given.write(record)
+    given.write_out(record)
     return UNREADABLE if any(one.usable is False for one in found) else None
 
 

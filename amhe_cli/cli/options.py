@@ -186,7 +186,7 @@ output = in_panel(
 
 
 def written(form: str, about: str) -> tuple[Option, ...]:
-    """A file to write, called so in the help; see `Given.write`."""
+    """A file to write, called so in the help; see `Given.write_out`."""
     return in_panel(_OUTPUT, option("-o --out", about, NewFile(form)), force(f"over {form} where it exists"))
 
 

@@ -264,7 +264,7 @@ def windows_figure(replay: Replay) -> Markup:
         for values in (replay.column("misfit"), replay.column("excitation"))
     )
     gate, period = setting.excitation, 1e3 * setting.update_period
-    gated = [Mark(gate, "the gate", "before", "y")] if gate else []
+    gated = [Mark(gate, "the gate of excitation", "before", "y")] if gate else []
     return figure(
         [
             Panel("misfit before the update, in noise sd", [Curve(time, misfit)], marks=marks, log=True),
@@ -274,7 +274,7 @@ def windows_figure(replay: Replay) -> Markup:
             ),  # values far below the gate are all alike
             Panel(
                 "update", [Curve(time, replay.update_ms, color="measured")], "ms",
-                marks=[*marks, Mark(period, "its period", "before", "y")], low=0.0,
+                marks=[*marks, Mark(period, "the period of updates", "before", "y")], low=0.0,
             ),
         ]
     )  # fmt: skip
