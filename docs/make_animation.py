@@ -18,6 +18,8 @@ from tests.view.browser import browser  # noqa: E402
 
 #: Seconds of a clip, pictures of a second, and how many clips: those that the owners' model misses most.
 SECONDS, RATE, CLIPS = 3.0, 10, 4
+#: Picture that it begins with: the predictions have parted there, for readers to whom it stands still.
+_PARTED = 18
 #: Leaves the scene, seen along the joints' axes, and the plots beside it.
 ARRANGED = """(() => {
   const hide = "header, #notes, #transport, #clips, #parameters, #plots h2, #layers label:nth-child(n+4)";
@@ -58,7 +60,7 @@ def main() -> None:
             one.run(SHOW % (clip, share))
             picture = Image.open(one.picture(Path(scratch) / "frame.png"))
             frames.append(picture.convert("RGB"))
-    first, *rest = frames
+    first, *rest = frames[_PARTED:] + frames[:_PARTED]
     first.save(
         path, save_all=True, append_images=rest, duration=round(1e3 / RATE), loop=0, quality=60, method=4
     )

@@ -37,13 +37,17 @@ PICTURES = {
     "tutorial/arm-found.webp": ("arm/report.html", "parameters", 770),
     "tutorial/arm-overlay.webp": ("arm/report.html", "measured-against-predicted", 760),
     "tutorial/arm-budget.webp": ("arm/report.html", "where-each-interval-comes-from", 560),
-    "tutorial/arm-view.webp": ("arm/view.html", "top", 760),
+    "tutorial/arm-view.webp": ("arm/view.html", "top", 1000),
     "tutorial/lie.webp": ("lie/report.html", "top", 560),
     "tutorial/truth.webp": ("pendulum/report.html", "top", 560),
     "audit.webp": ("audit/report.html", "top", 900),
 }
-#: Shows a part of a page, unfolded.
-SHOW = "(() => {{ const it = document.getElementById('{0}'); it.open = true; it.scrollIntoView(); }})()"
+#: Shows a part of a page, unfolded, and nothing of the one above it.
+SHOW = """(() => {{
+  const it = document.getElementById('{0}'), above = it.previousElementSibling;
+  it.open = true; it.scrollIntoView();
+  if (above.tagName !== 'NAV') above.style.visibility = 'hidden';
+}})()"""
 
 
 def main() -> None:

@@ -35,15 +35,15 @@ ALONE = (
 #: Picture -> page, width, height, and what is done on the page before.
 PICTURES = {
     "push": ("run", 1280, 900, "player.seek(7.4)"),
-    "result": ("found", 1280, 900, CLIP.format(0, 0.7)),
+    "result": ("found", 1280, 975, CLIP.format(0, 0.9)),
     "distance": (
         "t1",
         1280,
-        900,
+        1000,
         f"{CLIP.format(0, 0.9)}; document.getElementById('distance').click()",
     ),
     "whole": ("replay", 1280, 900, "player.next(); player.next()"),
-    "tool": ("pusher", 1280, 880, CLIP.format(0, 0.8)),
+    "tool": ("pusher", 1280, 960, CLIP.format(0, 0.8)),
 }
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence, Set
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -189,8 +188,10 @@ def audit(
     assert search is not None
     look = again if proposal.match == "effort" else partial(searched, _LOOK, None, False)
     first = Explanation(search, wrong, claims)
-    with suppress(KeyboardInterrupt):
+    try:
         first = first.further()
+    except KeyboardInterrupt:
+        search.watch.interrupted = True
     found, judgement, at = _concluded(again, look, first, seen)
     system = at.search.problem.system
     lines = _lines(system, found, claims, judgement, logs)

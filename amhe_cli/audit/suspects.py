@@ -65,9 +65,9 @@ class Explanation:
 
     @cached_property
     def to_go(self) -> tuple[FloatArray, float]:
-        """How far a search that stopped on its way may go, and the log likelihood that it may gain.
+        """How far a search that stopped on its way may go, and by how much its cost may fall.
 
-        Both are what it went, (d,) on the parameters' scales, and gained in the later half of its iterations:
+        Both are what it went, (d,) on the parameters' scales, and fell in the later half of its iterations:
         so much is left where half of the iterations leave half of the way.
         """
         fit, space = self.search.fit, self.search.problem.system.space
@@ -75,14 +75,20 @@ class Explanation:
         if not (record and still_moving(fit)):
             return np.zeros_like(fit.z), 0.0
         half, last = record[(len(record) - 1) // 2], record[-1]
-        independent = float(fit.slopes.cost.clips.counts.sum()) / max(fit.times)
-        gained = 0.5 * independent * float(np.log(half.cost / max(last.cost, 1e-300)))
-        return space.phi_of(space.theta_of(fit.z)) - space.phi_of(np.array(half.theta)), max(gained, 0.0)
+        fell = half.cost - last.cost if np.isfinite(half.cost) else np.inf
+        return space.phi_of(space.theta_of(fit.z)) - space.phi_of(np.array(half.theta)), max(fell, 0.0)
+
+    def gain(self, first: Explanation, wider: float) -> float:
+        """Log likelihood that the rest of its search may gain, under the noise that the first has left."""
+        if not (fell := self.to_go[1]):
+            return 0.0
+        fit, noise = self.search.fit, wider**2 * first.search.fit.finding.record[-1].cost
+        return 0.5 * float(fit.slopes.cost.clips.counts.sum()) / max(fit.times) * fell / max(noise, 1e-300)
 
     def odds(self, first: Explanation, wider: float = 1.0) -> float:
-        """As `against`, but a search that has not ended excludes no more than it will where it ends."""
+        """As `against`; of a search that has not ended, the odds that it may end with, at most 0."""
         now = self.against(first, wider)
-        return max(now, min(now + self.to_go[1] / wider**2, 0.0))
+        return max(now, min(now + self.gain(first, wider), 0.0))
 
     def further(self, enough: Callable[[Explanation], bool] = lambda one: False) -> Explanation:
         """Where its search goes on until it has ended, or explains enough; a few times as long at most."""
@@ -96,7 +102,7 @@ class Explanation:
 
     def hopeless(self, first: Explanation, wider: float) -> bool:
         """Whether its values change no verdict, whatever sheets were wrong."""
-        return self.against(first, wider, least=True) + self.to_go[1] / wider**2 < HOPELESS
+        return self.against(first, wider, least=True) + self.gain(first, wider) < HOPELESS
 
     @cached_property
     def sheets(self) -> Sheets[Group]:

@@ -159,9 +159,9 @@ def searched_for(
 
 
 def ended(stopped: Search) -> Search:
-    """A search that goes on until it has ended, by as many iterations again at most; itself if it has."""
+    """Continue a search for as many iterations again at most; one that has ended, or has no time, stays."""
     begin = stopped.finding
-    if isinstance(begin, SearchState) and not stopped.watch.interrupted and still_moving(stopped.fit):
+    if isinstance(begin, SearchState) and not stopped.watch.cut_short and still_moving(stopped.fit):
         begin = replace(begin, stage="polish", number=search.ROUGHLY)  # with all clips
         before, unsaved = len(begin.record) - begin.number, Checkpoint(None, stopped.problem, METHODS[0])
         finding = _run(

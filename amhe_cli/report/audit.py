@@ -98,8 +98,8 @@ def _against(found: Identification) -> Iterator[str]:
         yield "the search was interrupted: these are the best values so far"
     elif not found.settled:
         yield (
-            "the search stopped before it settled, and every sd has as much of its way again: more "
-            "`identify.iterations` narrow it"
+            "the search stopped before it settled: the sd of a number includes how far it may still move; "
+            "give it more `identify.iterations`"
         )
 
 

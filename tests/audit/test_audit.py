@@ -270,11 +270,11 @@ def test_what_a_search_that_stopped_may_still_gain_counts_for_its_explanation(
         slopes=SimpleNamespace(cost=SimpleNamespace(clips=clips)),
     )  # fmt: skip
     search: Any = SimpleNamespace(fit=fit, problem=SimpleNamespace(system=SimpleNamespace(space=space)))
-    gained = 0.5 * 10.0 * np.log(2.0)  # of ten independent numbers
-    for moving, way, gain in (("a mass", np.log(0.25), gained), ("", 0.0, 0.0)):
+    for moving, way, fell in (("a mass", np.log(0.25), 2.0), ("", 0.0, 0.0)):
         monkeypatch.setattr(suspects, "still_moving", lambda _, moving=moving: moving)
         one = suspects.Explanation(search, frozenset(), [])
-        assert one.to_go[0] == pytest.approx([way]) and one.to_go[1] == pytest.approx(gain)
+        assert one.to_go[0] == pytest.approx([way]) and one.to_go[1] == pytest.approx(fell)
+        gain = 0.5 * 10.0 * fell / 2.0  # of ten independent numbers, under the noise of a cost of 2
         for now, wider in ((-20.0, 1.0), (-20.0, 2.0), (-1.0, 1.0), (3.0, 1.0)):
             monkeypatch.setattr(suspects.Explanation, "against", lambda *_, now=now: now)
             assert one.odds(one, wider) == pytest.approx(max(now, min(now + gain / wider**2, 0.0)))

@@ -19,7 +19,7 @@ from amhe_cli.cli.check import _recorded
 from amhe_cli.cli.main import run
 from amhe_cli.estimation.design.expected import Expected, expected
 from amhe_cli.init.folder import proposed
-from amhe_cli.system.model.files import compiled
+from amhe_cli.system.model.files import compiled, read_spec
 
 ROOT = Path(__file__).parents[2]
 LOG = ROOT / "examples" / "logs" / "pendulum.mcap"
@@ -342,6 +342,15 @@ def test_an_inertia_that_mujoco_refuses_is_a_finding(
     moments = compiled(proposed(file, [log]).spec).body("arm").inertia
     second = np.sort(0.5 * moments.sum() - moments)
     assert second == pytest.approx([1e-6, 4.5e-3, 4.5e-3], rel=1e-3), "no more changed than needed"
+
+
+def test_a_flat_body_is_possible_whatever_the_rounding_of_its_file(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    file = tmp_path / "flat.xml"
+    file.write_text(IMPOSSIBLE.format('diaginertia="0.1 0.7 0.8"'))
+    assert compiled(read_spec(file)).body("arm").inertia == pytest.approx([0.1, 0.7, 0.8], rel=1e-4)
+    assert not caplog.text
 
 
 def test_a_urdf_is_checked_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -108,8 +108,8 @@ def test_engines_agree(opened: Open) -> None:
         if xml is SWING:
             expected[:2] = by_hand(volts=volts, on=on, **WORDS), by_hand(volts=volts, on=on)
         np.testing.assert_allclose(paths, expected, atol=max(1e-12, 1e3 * engine.precision))
-    alone = rolled(system, volts, on, theta=theta[2:], engine=engine)
-    np.testing.assert_array_equal(alone[0], paths[2])
+        alone = rolled(system, volts, on, theta=theta[2:], engine=engine)
+        np.testing.assert_array_equal(alone[0], paths[2])
 
 
 def test_without_any_of_it_a_servo_is_mujocos() -> None:

@@ -20,7 +20,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray, namespace_of, sealed, to_host
+from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray, sealed, to_host
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.statistics import autocorrelation_time, mean_within, pseudo_huber_weight
 from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, turns
@@ -164,20 +164,27 @@ def information(
     both = [_sandwich(*(array[clips] for array in arrays)) for clips in some]
     curvature, scatter = map(np.concatenate, zip(*both, strict=True))
     if slopes.averaged:
-        scatter = scatter + _unsteady(slopes, known, each)
+        scatter = _with_jitter(scatter, slopes, known, each)
     return replace(known, curvature=curvature, scatter=scatter)
 
 
 def of_jitter(slopes: Linearisation, known: Information) -> FloatArray:
     """Covariance of each clip's score that the jitter of the mean of a pair makes, shape (c, d, d).
 
-    After a contact that meets otherwise all residuals differ: what jitter does to a score is far more than
-    if it were white.
+    After a contact that begins a step sooner all residuals differ: what jitter does to a score is far more
+    than if it were white.
     """
-    curves = slopes.curves - slopes.curves.mean(axis=0)
-    pull = namespace_of(curves).asarray(_pull(slopes, known))
-    scores = to_host(pull @ curves.transpose(1, 2, 0))
-    return scores @ scores.transpose(0, 2, 1) / max(len(curves) - 1, 1)
+    scores = _pull(slopes, known) @ _jitter(slopes).transpose(1, 2, 0)
+    return scores @ scores.transpose(0, 2, 1)
+
+
+def _jitter(slopes: Linearisation) -> FloatArray:
+    """Even responses about their mean over the pairs that completed; their squares add to the variance."""
+    curves = to_host(slopes.curves)
+    completed = (curves != 0.0).any(axis=2)[..., None]
+    count = completed.sum(axis=0)
+    about: FloatArray = (curves - curves.sum(axis=0) / np.maximum(count, 1)) * completed
+    return about / np.sqrt(np.maximum(count - 1, 1))
 
 
 def _pull(slopes: Linearisation, known: Information) -> FloatArray:
@@ -187,17 +194,32 @@ def _pull(slopes: Linearisation, known: Information) -> FloatArray:
     return moved
 
 
-def _unsteady(slopes: Linearisation, known: Information, times: FloatArray) -> FloatArray:
-    """Covariance of each clip's score, (c, d, d), that the log's own jitter makes, beyond its squares.
+def _with_jitter(
+    scatter: FloatArray, slopes: Linearisation, known: Information, times: FloatArray
+) -> FloatArray:
+    """Covariance of each clip's score where jitter counts by what it does to scores, shape (c, d, d).
 
-    A log is one run, whose jitter has twice the variance of the mean of a pair; its residuals are counted
-    from the mean of h pairs, which jitters, too. What residuals show already, jitter as if it were white or
-    had their autocorrelation times (R,), is left out.
+    A log is one run, whose jitter has twice the variance of a pair's mean; its residuals are counted from the
+    mean of h pairs, which jitters, too. Their squares, times their autocorrelation times, hold that variance
+    already, and of how long it lasts what those times have beyond white noise. This is taken out, as far as
+    noise may be left.
+
+    Args:
+        scatter: The same by single residuals, shape (c, d, d).
+        slopes, known: The linearised residuals, and the information of each clip.
+        times: Autocorrelation time of each residual, shape (R,).
     """
-    pull = _pull(slopes, known)
-    white = (pull * (times * slopes.bend)[:, None]) @ pull.transpose(0, 2, 1)
-    values, vectors = np.linalg.eigh((2.0 + 1.0 / len(slopes.pairs)) * of_jitter(slopes, known) - 2.0 * white)
-    return (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.transpose(0, 2, 1)
+    pull, runs = _pull(slopes, known), 2.0 + 1.0 / len(slopes.pairs)
+    jitter = _jitter(slopes)
+    variance = runs * (jitter**2).sum(axis=0)
+    lasts = of_residuals(slopes.cost, channel_times(slopes.cost, jitter, slopes.completed))
+    counted = np.minimum((times - 1.0) * known.residual**2 + variance, lasts * variance)
+    held = (pull * counted[:, None]) @ pull.transpose(0, 2, 1)
+    all_of_it = scatter.sum(axis=0)
+    root = np.linalg.cholesky(all_of_it + 1e-9 * np.trace(all_of_it) * np.eye(len(all_of_it)))
+    share = np.linalg.solve(root, np.linalg.solve(root, held.sum(axis=0)).T)
+    held /= max(1.0, float(np.linalg.eigvalsh(0.5 * (share + share.T))[-1]))
+    return scatter - held + runs * of_jitter(slopes, known)
 
 
 def _sandwich(
@@ -297,12 +319,12 @@ def weights(
 
 
 def channel_times(cost: MatchingCost, residual: FloatArray, completed: BoolArray) -> tuple[float, ...]:
-    """Autocorrelation time of each channel's residuals (c, R), in samples."""
+    """Autocorrelation time of each channel's residuals (..., c, R), in samples."""
     times = []
     for observed, values in zip(cost.clips.observed, split(cost, residual), strict=True):
-        rows = np.moveaxis(values[completed], 2, 1)  # (c, k, s)
+        rows = np.moveaxis(values[..., completed, :, :], -1, -2)  # (..., c, k, s)
         mask = np.broadcast_to(observed.mask[completed, None], rows.shape)
-        times.append(autocorrelation_time(rows.reshape(-1, rows.shape[2]), mask.reshape(-1, rows.shape[2])))
+        times.append(autocorrelation_time(rows.reshape(-1, rows.shape[-1]), mask.reshape(-1, rows.shape[-1])))
     return tuple(times)
 
 
@@ -402,11 +424,11 @@ def clip_objectives(
 
 
 def split(cost: MatchingCost, residual: FloatArray) -> list[FloatArray]:
-    """Cut residuals (c, R) into channels, (c, samples, k) each."""
+    """Cut residuals (..., c, R) into channels, (..., c, samples, k) each."""
     values, at = [], 0
     for observed in cost.clips.observed:
         samples, width = observed.mask.shape[1], observed.width
-        values.append(residual[:, at : at + samples * width].reshape(len(residual), samples, width))
+        values.append(residual[..., at : at + samples * width].reshape(*residual.shape[:-1], samples, width))
         at += samples * width
     return values
 

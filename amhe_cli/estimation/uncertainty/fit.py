@@ -206,7 +206,9 @@ def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) ->
         slopes = _linearised(problem, finding.z, scale, shape, first, turn)
         fit = fit_of(problem, finding, slopes, shape, scale)
         # wider samples would jitter as much, and bend more
-        steady = fit_of(problem, finding, replace(slopes, averaged=False), shape, scale)
+        steady = fit
+        if slopes.averaged:
+            steady = fit_of(problem, finding, replace(slopes, averaged=False), shape, scale)
         covariance = within(steady.posterior.covariance, problem.alike)
         wanted = bounded(4.0 * covariance, floor, problem.active, problem.alike)
         # slopes from samples that hardly bend are those of wider ones, too

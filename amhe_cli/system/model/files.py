@@ -27,6 +27,8 @@ logger = logging.getLogger(__name__)
 
 #: Least half edge of a box in place of a mesh [m].
 _THIN = 1e-3
+#: Share of a moment of inertia that the rounding of a file may hide.
+_ROUNDING = 1e-3
 
 
 def read_spec(path: Path, urdf: UrdfOptions | None = None) -> mujoco.MjSpec:
@@ -59,14 +61,17 @@ def read_spec(path: Path, urdf: UrdfOptions | None = None) -> mujoco.MjSpec:
 
 
 def _mended(spec: mujoco.MjSpec) -> list[str]:
-    """Give bodies of an MJCF whose inertia MuJoCo refuses the nearest possible one; their names."""
+    """Give bodies of an MJCF whose inertia MuJoCo refuses the nearest possible one; their names.
+
+    A flat body that only the file's rounding makes impossible has no name here.
+    """
     of_shapes = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     found, places = [], tuple(np.transpose([*INERTIA.values()]))
-    for body in () if of_shapes or spec.compiler.balanceinertia else spec.bodies:
+    for body in () if spec.compiler.balanceinertia else spec.bodies:
         given, whole = np.diag(body.inertia), not np.isnan(body.fullinertia[0])
         if whole:
             given[places] = given.T[places] = body.fullinertia
-        if not (body.explicitinertial and np.isfinite(given).all()):
+        if not (body.explicitinertial and np.isfinite(given).all()) or (of_shapes and body.geoms):
             continue
         least, middle, most = np.linalg.eigvalsh(given)
         if least < 0.0 or least + middle < most:
@@ -75,7 +80,8 @@ def _mended(spec: mujoco.MjSpec) -> list[str]:
                 body.fullinertia = inertia[places]
             else:
                 body.inertia = inertia.diagonal()
-            found.append(body.name or "a body")
+            if least < 0.0 or least + middle < (1.0 - _ROUNDING) * most:
+                found.append(body.name or "a body")
     return found
 
 

@@ -215,7 +215,7 @@ class Contact:
     def pace(self) -> float:
         """Recent seconds of the robot's clock per second of ours; 0: not known yet.
 
-        The median of several times: a computer that once stands still spoils one of them.
+        The median of several times, of which one pause of this computer spoils two at most.
         """
         return statistics.median(self._paces) if self._paces else 0.0
 
