@@ -35,7 +35,7 @@ ALONE = (
 #: Picture -> page, width, height, and what is done on the page before.
 PICTURES = {
     "push": ("run", 1280, 900, "player.seek(7.4)"),
-    "result": ("found", 1280, 975, CLIP.format(0, 0.9)),
+    "result": ("found", 1280, 990, CLIP.format(0, 0.8)),
     "distance": (
         "t1",
         1280,
