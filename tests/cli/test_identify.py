@@ -339,6 +339,7 @@ def off(name: str, offset: tuple[float, ...]) -> list[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.realtime
 def test_offsets_are_found_again_and_make_the_robot_fit_to_run(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("natnet")
     monkeypatch.setattr("amhe_cli.robots.go1.link.open._CYCLES", 20)
@@ -369,6 +370,7 @@ def test_offsets_are_found_again_and_make_the_robot_fit_to_run(monkeypatch: pyte
 
 
 @pytest.mark.slow
+@pytest.mark.realtime
 def test_what_cannot_be_is_refused(capfd) -> None:
     pytest.importorskip("natnet")
     with emulating("--set", "go1.slow=2", "--fault", "yup=1") as emulated:

@@ -163,7 +163,8 @@ class Contact:
 
     mode: int = DAMPED
     driven: bool = False
-    _paced: tuple[int, float] = (0, math.inf)
+    _least: tuple[float, float] = (math.inf, math.inf)
+    _former: tuple[float, float] | None = None
     _paces: deque[float] = field(default_factory=lambda: deque(maxlen=_PACES))
     _echoes: dict[int, list[float]] = field(default_factory=lambda: {DAMPED: [], SERVO: []})
     _turned: float = -1.0
@@ -191,11 +192,15 @@ class Contact:
         self._see_pace(state.tick, arrival)
 
     def _see_pace(self, tick: int, arrival: float) -> None:
-        since = arrival - self._paced[1]
-        if since >= _PACED:
-            self._paces.append(1e-3 * (tick - self._paced[0]) / since)
-        if abs(since) >= _PACED:  # the first state, too
-            self._paced = tick, arrival
+        """Compare the clocks by the states that came with the least delay: a busy computer reads most late."""
+        began, least = self._least
+        late = arrival - 1e-3 * tick
+        if arrival - began < _PACED:
+            self._least = min(began, arrival), min(least, late)
+            return
+        if self._former is not None:
+            self._paces.append(1.0 - (least - self._former[1]) / (began - self._former[0]))
+        self._former, self._least = self._least, (arrival, late)
 
     def see_strange(self, size: int, why: str) -> None:
         """Count a datagram of so many bytes that is not a state, and why it is none."""
