@@ -29,7 +29,7 @@ from amhe_cli.logs import read_metadata, survey
 from amhe_cli.robots.go1.link.mail import Phase, SenderReport, StoppedError
 from amhe_cli.robots.go1.poses.feed import KINDS
 from amhe_cli.robots.go1.probing.motions import STEADY
-from tests.robots.go1.stand_ins import Emulated, emulating, free_port, repeating, udp
+from tests.robots.go1.stand_ins import SLOW, Emulated, emulating, free_port, repeating, udp
 
 pytestmark = pytest.mark.realtime
 
@@ -47,10 +47,10 @@ FEW = ["--set=probe.pairs=0", "--set=control.substeps=1", "--set=identify.first_
 ROBOT = ["run", "--task", "t1", "--target", "go1", "--mode", "baseline"]
 
 
-def at(emulated: Emulated, slow: int = 2) -> list[str]:
+def at(emulated: Emulated) -> list[str]:
     here = ["--host", "127.0.0.1", "--port", str(emulated.port)]
     eyes = ["--pose-host", "127.0.0.1", "--pose-port", str(emulated.mocap_port)]
-    return [*ROBOT, *here, *eyes, "--set", f"go1.slow={slow}", "--set", "go1.arm=auto", *QUICK]
+    return [*ROBOT, *here, *eyes, "--set", f"go1.slow={SLOW}", "--set", "go1.arm=auto", *QUICK]
 
 
 def test_the_choices_are_those_of_the_library() -> None:
@@ -66,16 +66,16 @@ def _brief(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.slow
 def test_a_robot_is_checked_without_moving_then_runs_and_its_log_is_identified(capsys, monkeypatch) -> None:
     pytest.importorskip("natnet")
-    with emulating("--set", "go1.slow=3") as emulated:
-        assert run([*at(emulated, slow=3), "--dry-run"]) == 0
+    with emulating("--set", f"go1.slow={SLOW}") as emulated:
+        assert run([*at(emulated), "--dry-run"]) == 0
         assert "nothing has moved" in capsys.readouterr().out
         assert list(Path().iterdir()) == []
-        assert run([*at(emulated, slow=3), "--duration", "3", "-o", "out"]) == 0, capsys.readouterr().err
+        assert run([*at(emulated), "--duration", "3", "-o", "out"]) == 0, capsys.readouterr().err
     assert run([*ROBOT[:3], "--duration", "0.1", "-o", "sim", *QUICK]) == 0
     record = json.loads(Path("out/result.json").read_text())
     assert (record["target"], record["fell"], record["truth"]) == ("go1", False, {})
     assert record["link"]["trip"] == ""
-    assert record["link"]["slow"] == 3.0
+    assert record["link"]["slow"] == SLOW
     assert record["link"]["packets"]["packets"] > 500
     assert read_metadata(Path("out/log.mcap"))["target"] == "go1"
     real, simulated = survey(Path("out/log.mcap")), survey(Path("sim/log.mcap"))
@@ -103,7 +103,7 @@ def test_a_robot_is_checked_without_moving_then_runs_and_its_log_is_identified(c
 def test_a_fault_before_the_run_damps_fails_and_keeps_a_readable_log(capsys) -> None:
     """Faults in the run are below."""
     pytest.importorskip("natnet")
-    with emulating("--set", "go1.slow=2", "--fault", "hot=0.1") as emulated:
+    with emulating("--set", f"go1.slow={SLOW}", "--fault", "hot=0.1") as emulated:
         assert run([*at(emulated), "-o", "out"]) == 1
     assert capsys.readouterr().err.count("deg C hot") == 1
     record = json.loads(Path("out/result.json").read_text())
@@ -174,11 +174,11 @@ def test_at_a_terminal_enter_arms_and_one_that_is_closed_damps_and_keeps_what_th
     port = str(free_port())
     keys, terminal = os.openpty()
     with (
-        emulating("--set", "go1.slow=2", "--mocap", "udp", "--mocap-port", port) as emulated,
+        emulating("--set", f"go1.slow={SLOW}", "--mocap", "udp", "--mocap-port", port) as emulated,
         os.fdopen(keys, "r+b", 0) as screen,
     ):
         eyes = ["--pose", "udp", "--pose-host", "127.0.0.1", "--pose-port", port]
-        where = ["--host", "127.0.0.1", "--port", str(emulated.port), *eyes, "--set", "go1.slow=2"]
+        where = ["--host", "127.0.0.1", "--port", str(emulated.port), *eyes, "--set", f"go1.slow={SLOW}"]
         command = [sys.executable, "-c", _FOREGROUND, "-m", "amhe_cli", *ROBOT, *where, *QUICK, "-o", "out"]
         command.remove("-q")
         with subprocess.Popen(
@@ -245,7 +245,7 @@ def test_a_probe_is_planned_first_and_then_done_on_the_robot(capsys, monkeypatch
     pytest.importorskip("natnet")
     monkeypatch.setattr("amhe_cli.robots.go1.probing.probe.MOTIONS", (STEADY,))
     few = ["--for", "2", *FEW]
-    with emulating("--set", "go1.slow=2") as emulated:
+    with emulating("--set", f"go1.slow={SLOW}") as emulated:
         probe = ["probe", *at(emulated)[1:], *few]
         for option in ("--mode", "baseline"):
             probe.remove(option)
@@ -335,9 +335,9 @@ def walked(tmp_path: Path, forge: Forge, seconds: float) -> tuple[int, str, dict
     port = free_port()
     with relay(port, forge) as cameras_port:
         cameras = ["--mocap", "udp", "--mocap-port", str(cameras_port)]
-        with emulating("--set", "go1.slow=2", *cameras) as emulated:
+        with emulating("--set", f"go1.slow={SLOW}", *cameras) as emulated:
             eyes = ["--pose", "udp", "--pose-port", str(port)]
-            where = ["--host", "127.0.0.1", "--port", str(emulated.port), *eyes, "--set", "go1.slow=2"]
+            where = ["--host", "127.0.0.1", "--port", str(emulated.port), *eyes, "--set", f"go1.slow={SLOW}"]
             more = ["--set", "go1.arm=auto", *QUICK, "--duration", str(seconds), "-o", str(tmp_path / "out")]
             ended = subprocess.run(
                 [sys.executable, "-m", "amhe_cli", *ROBOT, *where, *more], check=False, timeout=120,

@@ -24,7 +24,7 @@ from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.rotations import exp, multiply
 from tests.cli.conftest import names
 from tests.conftest import MODELS, write_pendulum_log
-from tests.robots.go1.stand_ins import Emulated, emulating
+from tests.robots.go1.stand_ins import SLOW, Emulated, emulating
 
 ROOT = Path(__file__).parents[2]
 
@@ -330,7 +330,7 @@ BOX = (-0.05, 0.02, -0.15, 0.0, 0.01, -1.2)
 
 def at(emulated: Emulated) -> list[str]:
     here = ["--host", "127.0.0.1", "--port", str(emulated.port)]
-    eyes = ["--pose-host", "127.0.0.1", "--pose-port", str(emulated.mocap_port), "--set", "go1.slow=2"]
+    eyes = ["--pose-host", "127.0.0.1", "--pose-port", str(emulated.mocap_port), "--set", f"go1.slow={SLOW}"]
     return [*here, *eyes, "--set", "go1.connect_time=5"]
 
 
@@ -343,7 +343,7 @@ def off(name: str, offset: tuple[float, ...]) -> list[str]:
 def test_offsets_are_found_again_and_make_the_robot_fit_to_run(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("natnet")
     monkeypatch.setattr("amhe_cli.robots.go1.link.open._CYCLES", 20)
-    with emulating("--set", "go1.slow=2", *off("trunk", TRUNK), *off("box", BOX)) as emulated:
+    with emulating("--set", f"go1.slow={SLOW}", *off("trunk", TRUNK), *off("box", BOX)) as emulated:
         look = ["calibrate", "--seconds", "0.8", "-o", "out"]
         command = [sys.executable, "-m", "amhe_cli", *look, *at(emulated)]
         pressed, nobody = (
@@ -373,7 +373,7 @@ def test_offsets_are_found_again_and_make_the_robot_fit_to_run(monkeypatch: pyte
 @pytest.mark.realtime
 def test_what_cannot_be_is_refused(capfd) -> None:
     pytest.importorskip("natnet")
-    with emulating("--set", "go1.slow=2", "--fault", "yup=1") as emulated:
+    with emulating("--set", f"go1.slow={SLOW}", "--fault", "yup=1") as emulated:
         assert run(["calibrate", "--yes", *at(emulated)]) == 1
     err = capfd.readouterr().err
     assert "up axis z" in err

@@ -35,6 +35,23 @@ from amhe_cli.robots.go1.poses.sources import pose_datagram
 ROOT = Path(__file__).parents[3]
 
 
+def slowed() -> int:
+    """By how much an emulated robot is slowed down, for this machine to keep up with it: at least 3.
+
+    On two cores on which ten million additions took 2.3 s, 3 was enough and 2 was not.
+    """
+    times = []
+    for _ in range(3):
+        begun = time.perf_counter()
+        sum(i for i in range(1_000_000))
+        times.append(time.perf_counter() - begun)
+    return int(np.clip(np.ceil(16.0 * min(times)), 3, 8))
+
+
+#: `go1.slow` of robots that are emulated, and of what drives them.
+SLOW = slowed()
+
+
 @contextmanager
 def repeating(period: float, action: Callable[[], object]) -> Iterator[None]:
     """Do something again and again in a thread, with a pause [s] between, until the block ends."""
