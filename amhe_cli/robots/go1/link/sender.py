@@ -192,7 +192,7 @@ class Contact:
         self._see_pace(state.tick, arrival)
 
     def _see_pace(self, tick: int, arrival: float) -> None:
-        """Compare the clocks by the states that came with the least delay: a busy computer reads most late."""
+        """Compare the clocks by states of the least delay: a busy computer reads most of them late."""
         began, least = self._least
         late = arrival - 1e-3 * tick
         if arrival - began < _PACED:
