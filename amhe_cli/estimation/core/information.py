@@ -174,7 +174,12 @@ def of_jitter(slopes: Linearisation, known: Information) -> FloatArray:
     After a contact that begins a step sooner all residuals differ: what jitter does to a score is far more
     than if it were white.
     """
-    scores = _pull(slopes, known) @ _jitter(slopes).transpose(1, 2, 0)
+    return _of_scores(_pull(slopes, known), _jitter(slopes))
+
+
+def _of_scores(pull: FloatArray, jitter: FloatArray) -> FloatArray:
+    """Sum of the squares of the scores that each jitter (h, c, R) makes, shape (c, d, d)."""
+    scores = pull @ jitter.transpose(1, 2, 0)
     return scores @ scores.transpose(0, 2, 1)
 
 
@@ -219,7 +224,7 @@ def _with_jitter(
     root = np.linalg.cholesky(all_of_it + 1e-9 * np.trace(all_of_it) * np.eye(len(all_of_it)))
     share = np.linalg.solve(root, np.linalg.solve(root, held.sum(axis=0)).T)
     held /= max(1.0, float(np.linalg.eigvalsh(0.5 * (share + share.T))[-1]))
-    return scatter - held + runs * of_jitter(slopes, known)
+    return scatter - held + runs * _of_scores(pull, jitter)
 
 
 def _sandwich(
