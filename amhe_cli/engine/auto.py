@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import logging
+import os
+import pickle
+import subprocess
 import sys
 import threading
 import time
@@ -105,6 +108,43 @@ def in_background(work: Callable[[], T]) -> Future[T]:
 
     threading.Thread(target=fill, daemon=True, name=OPENING).start()
     return future
+
+
+def apart(work: Callable[[], object]) -> None:
+    """Do work in a process of the lowest priority, which takes only what cores have left, and wait for it.
+
+    Beside a thread that did it, rollouts would wait for Python's lock. The process ends with this one.
+
+    Args:
+        work: What to do; it is pickled.
+    """
+    code = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import _work_apart; _work_apart()"
+    child = subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    assert child.stdin is not None
+    with child, child.stdin:
+        child.stdin.write(pickle.dumps(work))
+        child.stdin.flush()
+        child.wait()  # before its stdin closes, by which it sees that this process has ended
+
+
+def _work_apart() -> None:
+    """The other side of `apart`."""
+    if hasattr(os, "nice"):
+        os.nice(19)
+    work = pickle.load(sys.stdin.buffer)
+
+    def end_with_parent() -> None:
+        sys.stdin.buffer.read()
+        os._exit(1)
+
+    threading.Thread(target=end_with_parent, daemon=True).start()
+    work()
+    os._exit(0)  # no thread waits for what the libraries clear up
 
 
 class Opening:

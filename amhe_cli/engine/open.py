@@ -25,8 +25,6 @@ logger = logging.getLogger(__name__)
 
 #: Kinds of engine that can be opened.
 KINDS = ("cpu", "gpu", "auto")
-#: One of so many threads of the command compiles kernels beside rollouts.
-COMPILE = 8
 
 
 def open_engine(
@@ -74,7 +72,7 @@ def open_engine(
 
     def loaded(count: int) -> Engine:
         engine = _gpu_engine(None, *about, senses)
-        engine.load(count, -(-threads // COMPILE))
+        engine.load(count, threads)
         return engine
 
     opening = Opening(lambda count: in_background(lambda: loaded(count)))

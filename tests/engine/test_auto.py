@@ -6,6 +6,8 @@ import subprocess
 import sys
 from collections.abc import Callable
 from concurrent.futures import Future
+from functools import partial
+from pathlib import Path
 from threading import Event
 from time import sleep
 from typing import Any
@@ -22,6 +24,7 @@ from amhe_cli.engine.auto import (
     TABLE,
     AutoEngine,
     StepCost,
+    apart,
     in_background,
     step_cost,
 )
@@ -219,6 +222,28 @@ def test_a_call_that_the_cards_refuse_goes_to_the_processor_and_so_do_all_others
     assert caplog.messages[1:] == [
         "the CPU computes all rollouts: the graphics card has too little free memory"
     ]
+
+
+def test_work_apart_takes_what_cores_have_left_and_ends_with_its_parent(tmp_path) -> None:
+    apart(partial(subprocess.run, "nice > done", shell=True, cwd=tmp_path, check=True))
+    assert (tmp_path / "done").read_text() == "19\n"
+    code = """
+import functools, os, threading, time
+from amhe_cli.engine import auto
+from pathlib import Path
+work = functools.partial(exec, "import os, time; open('child', 'w').write(str(os.getpid())); time.sleep(60)")
+threading.Thread(target=auto.apart, args=[work], daemon=True).start()
+while not Path("child").exists() or not Path("child").read_text():
+    time.sleep(0.01)
+os._exit(0)
+"""
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True, timeout=30)
+    child = Path("/proc", (tmp_path / "child").read_text())
+    for _ in range(1000):
+        if not child.exists() or "zombie" in (child / "status").read_text():
+            return
+        sleep(0.01)
+    raise AssertionError("it goes on without its parent")
 
 
 def test_mujoco_warp_is_loaded_when_a_call_is_worth_it(monkeypatch, caplog) -> None:

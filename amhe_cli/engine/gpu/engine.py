@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from amhe_cli.core.arrays import AnyArray, FloatArray, IntArray, to_host
-from amhe_cli.engine.auto import step_cost
+from amhe_cli.engine.auto import apart, step_cost
 from amhe_cli.engine.gpu.blueprint import Blueprint
 from amhe_cli.engine.gpu.job import Job, NoRoomError, queues
 from amhe_cli.engine.rollout import (
@@ -69,10 +70,19 @@ class GpuEngine:
         """See `Engine.device_bytes`; numbers come together on the first card."""
         return self.cards[0].memory
 
-    def load(self, count: int, compilers: int) -> None:
-        """Get ready for calls of so many rollouts; kernels compile in so many threads."""
+    def load(self, count: int, compilers: int, beside: bool = True) -> None:
+        """Get ready for calls of so many rollouts; kernels compile in so many threads.
+
+        Args:
+            count: Rollouts.
+            compilers: Threads.
+            beside: Kernels compile beside other work of this process, which they shall not slow down.
+        """
         model, card, count = self._model, self.cards[0], min(count, self.cards[0].at_once(0))
         card.compilers = compilers
+        if beside:
+            about = model, self._edits, self._blueprint.input_spec, self._blueprint.sensors, self._devices[:1]
+            card.elsewhere = partial(apart, partial(_load, about, count, compilers))
         inputs = np.zeros((count, 1, mujoco.mj_stateSize(model, self._blueprint.input_spec)))
         theta = np.asarray(self._edits.space.nominal)[None]
         self.rollout(theta, model.qpos0, np.zeros(model.nv), inputs, np.ones(count, dtype=np.int64))
@@ -183,6 +193,11 @@ class GpuEngine:
         arrays = {name: np.repeat(getattr(self._model, name)[None], len(theta), axis=0) for name in names}
         self._edits.write(arrays, theta)
         return Job(fields=arrays, inputs=inputs.astype(np.float32), **about)
+
+
+def _load(about: tuple[Any, ...], count: int, compilers: int) -> None:
+    """Compile what such an engine needs, for all processes of this computer."""
+    GpuEngine(*about).load(count, compilers, beside=False)
 
 
 def _in_order(results: Predicted, count: int) -> Predicted:
