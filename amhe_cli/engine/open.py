@@ -12,7 +12,7 @@ import numpy as np
 from amhe_cli.core.errors import NOTE, ConfigError, SimulationError
 from amhe_cli.engine.auto import AutoEngine, Opening, in_background
 from amhe_cli.engine.cpu import CpuEngine
-from amhe_cli.engine.gpu.engine import GpuEngine
+from amhe_cli.engine.gpu.engine import GpuEngine, compile_apart
 from amhe_cli.engine.gpu.visible import look_for_cards, visible_cards
 from amhe_cli.engine.inverse import InverseEngine
 from amhe_cli.engine.rollout import Engine
@@ -71,7 +71,7 @@ def open_engine(
         return cpu
 
     def loaded(count: int) -> Engine:
-        engine = _gpu_engine(None, *about, senses)
+        engine = _gpu_engine(None, *about, senses, beside=(count, threads))
         engine.load(count, threads)
         return engine
 
@@ -100,8 +100,15 @@ def _gpu_engine(
     edits: ModelEdits,
     input_spec: int,
     sensors: bool,
+    beside: tuple[int, int] | None = None,
 ) -> GpuEngine:
     """The engine on all cards of this computer.
+
+    Args:
+        executor: Must be None.
+        model, edits, input_spec, sensors: See `GpuEngine`.
+        beside: Rollouts of a call, and threads that compile its kernels first, beside other work; None: they
+            compile when they are needed.
 
     Raises:
         ConfigError: Workers were requested.
@@ -109,9 +116,11 @@ def _gpu_engine(
     """
     if executor is not None:
         raise ConfigError("the engine 'gpu' computes on the cards of this computer; leave `workers` out")
-    cards = visible_cards()
+    about = model, edits, input_spec, sensors, visible_cards()
     try:
-        return GpuEngine(model, edits, input_spec, sensors, cards)
+        if beside:
+            compile_apart(about, *beside)
+        return GpuEngine(*about)
     except ImportError as error:
         raise SimulationError(
             f"the engine 'gpu' needs {error.name}, which is not installed: pip install 'amhe[gpu]'"

@@ -61,7 +61,9 @@ def cards(monkeypatch: pytest.MonkeyPatch) -> list[Cards]:
     """The engines of the cards that were opened, on a computer that has one."""
     opened: list[Cards] = []
 
-    def opens(executor: object, model: Any, edits: Any, input_spec: int, sensors: bool) -> Cards:
+    def opens(
+        executor: object, model: Any, edits: Any, input_spec: int, sensors: bool, beside: object
+    ) -> Cards:
         opened.append(Cards(CpuEngine(model, edits, input_spec, 1, sensors)))
         return opened[-1]
 
@@ -194,7 +196,7 @@ from amhe_cli.system.system import System
 auto.START = auto.OPENS = 0.0
 begun = threading.Event()
 opening.look_for_cards = lambda: None
-opening._gpu_engine = lambda *about: begun.set() or threading.Event().wait()
+opening._gpu_engine = lambda *about, **beside: begun.set() or threading.Event().wait()
 CpuEngine.rollout = lambda *arguments: print("computed")
 engine = opening.open_engine(System.load("pendulum"), kind="auto")
 engine.rollout(*4 * [np.zeros(0)], np.full(3000, 40))
@@ -250,7 +252,7 @@ def test_mujoco_warp_is_loaded_when_a_call_is_worth_it(monkeypatch, caplog) -> N
     """It takes seconds; here it cannot be loaded at all."""
     monkeypatch.setattr(opening, "look_for_cards", lambda: None)
     monkeypatch.setattr(opening, "visible_cards", lambda: ["cuda:0"])
-    monkeypatch.setitem(sys.modules, "amhe_cli.engine.gpu.card", None)
+    monkeypatch.setitem(sys.modules, "warp", None)
     monkeypatch.setattr(opening, "in_background", at_once)
     for name in ("START", "OPENS"):
         monkeypatch.setattr(f"amhe_cli.engine.auto.{name}", 0.0)

@@ -6,7 +6,7 @@ import logging
 import os
 import threading
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from functools import cache
 from typing import Any
@@ -102,8 +102,6 @@ class Card:
         self.compilers = (
             len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         )
-        #: Compiles kernels that never were, and returns when they are; None: this process does.
-        self.elsewhere: Callable[[], None] | None = None
         self._bytes: dict[Room, int] = {}
         #: Seconds by which larger worlds have taken longer, by the size that was wanted.
         self._longer: dict[int, float] = defaultdict(float)
@@ -178,10 +176,7 @@ class Card:
         if worlds is None:
             while len(self._kept) >= KEPT:
                 del self._kept[next(iter(self._kept))]
-            worlds = Worlds(
-                self.blueprint, size, self.room, self._device,
-                compilers=self.compilers, elsewhere=self.elsewhere,
-            )  # fmt: skip
+            worlds = Worlds(self.blueprint, size, self.room, self._device, compilers=self.compilers)
             self.compilers = self._longer[size] = 0
         self._kept[size] = worlds  # the last used is the last to go
         return worlds

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
+import logging
+import pickle
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from amhe_cli.core.arrays import AnyArray, FloatArray, IntArray, to_host
+from amhe_cli.core.errors import NOTE
 from amhe_cli.engine.auto import apart, step_cost
 from amhe_cli.engine.gpu.blueprint import Blueprint
 from amhe_cli.engine.gpu.job import Job, NoRoomError, queues
@@ -25,6 +31,9 @@ from amhe_cli.engine.rollout import (
     turns_of,
 )
 from amhe_cli.system.parameters.model_edits import ModelEdits
+from amhe_cli.system.provenance import versions
+
+logger = logging.getLogger(__name__)
 
 #: A card gets at least so many rollouts of a call that several cards share.
 LEAST = 512
@@ -70,19 +79,10 @@ class GpuEngine:
         """See `Engine.device_bytes`; numbers come together on the first card."""
         return self.cards[0].memory
 
-    def load(self, count: int, compilers: int, beside: bool = True) -> None:
-        """Get ready for calls of so many rollouts; kernels compile in so many threads.
-
-        Args:
-            count: Rollouts.
-            compilers: Threads.
-            beside: Kernels compile beside other work of this process, which they shall not slow down.
-        """
+    def load(self, count: int, compilers: int) -> None:
+        """Get ready for calls of so many rollouts; kernels compile in so many threads."""
         model, card, count = self._model, self.cards[0], min(count, self.cards[0].at_once(0))
         card.compilers = compilers
-        if beside:
-            about = model, self._edits, self._blueprint.input_spec, self._blueprint.sensors, self._devices[:1]
-            card.elsewhere = partial(apart, partial(_load, about, count, compilers))
         inputs = np.zeros((count, 1, mujoco.mj_stateSize(model, self._blueprint.input_spec)))
         theta = np.asarray(self._edits.space.nominal)[None]
         self.rollout(theta, model.qpos0, np.zeros(model.nv), inputs, np.ones(count, dtype=np.int64))
@@ -195,9 +195,34 @@ class GpuEngine:
         return Job(fields=arrays, inputs=inputs.astype(np.float32), **about)
 
 
-def _load(about: tuple[Any, ...], count: int, compilers: int) -> None:
-    """Compile what such an engine needs, for all processes of this computer."""
-    GpuEngine(*about).load(count, compilers, beside=False)
+def compile_apart(about: tuple[Any, ...], count: int, compilers: int) -> None:
+    """Compile the kernels that an engine needs in a process of the lowest priority, and wait for it.
+
+    Which ones are missing only mujoco-warp's launches show, and these take Python's lock from rollouts for
+    seconds. So a file in warp's cache says of a model that all of its kernels are there.
+
+    Args:
+        about: Arguments of the engine.
+        count: Rollouts of a call.
+        compilers: Threads.
+    """
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_WARNING
+    wp.init()
+    key = hashlib.sha256(pickle.dumps((versions(), version("mujoco-warp"), about)))
+    mark = Path(str(wp.config.kernel_cache_dir), f"amhe-{key.hexdigest()[:16]}")
+    if not mark.exists():
+        logger.log(
+            NOTE, "kernels of the graphics card compile with what cores have left, once for each model; "
+            "the engine 'gpu' compiles them at once",
+        )  # fmt: skip
+        apart(partial(_compile, about, count, compilers, mark))
+
+
+def _compile(about: tuple[Any, ...], count: int, compilers: int, mark: Path) -> None:
+    GpuEngine(*about).load(count, compilers)
+    mark.touch()
 
 
 def _in_order(results: Predicted, count: int) -> Predicted:

@@ -53,12 +53,7 @@ def captured(device: Any, launches: Callable[[], object]) -> Callable[[], None]:
     return again
 
 
-def load_together(
-    device: Any,
-    launches: Callable[[], object],
-    compilers: int,
-    elsewhere: Callable[[], None] | None = None,
-) -> None:
+def load_together(device: Any, launches: Callable[[], object], compilers: int) -> None:
     """Load the modules of all kernels that launches need, and compile those that never were, side by side.
 
     Warp loads a module when a kernel of it is first launched, one after the other, which takes a minute where
@@ -69,7 +64,6 @@ def load_together(
         device: The device.
         launches: What is to be launched there.
         compilers: Number of threads.
-        elsewhere: Compiles in another process what never was; None: this one does.
     """
     kind: Any = type(wp.get_module(__name__))
     load, needed = kind.load, {}
@@ -88,21 +82,27 @@ def load_together(
         logger.debug("not all kernels can be loaded side by side: %s", error)
     finally:
         kind.load = load
-    if not all(_compiled(*one) for one in needed):
-        where = "beside the command" if elsewhere else "a minute or less"
-        logger.log(NOTE, "kernels of the graphics card compile, once for each kind of model: %s", where)
-        if elsewhere:
-            elsewhere()
+    said = []
+
+    def load_or_compile(module: Any, block_dim: int) -> None:
+        if not _compiled(module, block_dim) and not said:
+            said.append(module)
+            logger.log(
+                NOTE, "kernels of the graphics card compile, once for each kind of model: a minute or less"
+            )
+        load(module, device, block_dim)
+
     left = iter(list(needed))
 
     def load_some() -> None:
         for module, block_dim in left:
             try:
-                load(module, device, block_dim)
+                load_or_compile(module, block_dim)
             except Exception as error:
                 logger.debug("%s: %s", module.name, error)
 
-    # no executor's, for which the end of the process would wait until all are loaded
+    # not at a lower priority than rollouts: they would wait for a core with Python's lock in hand;
+    # and no executor's, for which the end of the process would wait until all are compiled
     threads = [Thread(target=load_some, daemon=True, name=OPENING) for _ in range(compilers)]
     for thread in threads:
         thread.start()
@@ -153,18 +153,10 @@ class Worlds:
         room: Buffers of each.
         device: Warp's name of the device.
         compilers: Threads that load the kernels of such worlds; 0: they have been loaded.
-        elsewhere: Compiles those that never were; None: this process does.
     """
 
     def __init__(
-        self,
-        blueprint: Blueprint,
-        count: int,
-        room: Room,
-        device: str,
-        *,
-        compilers: int = 0,
-        elsewhere: Callable[[], None] | None = None,
+        self, blueprint: Blueprint, count: int, room: Room, device: str, *, compilers: int = 0
     ) -> None:
         self.count, self.room = count, room
         self._blueprint, self._device = blueprint, wp.get_device(device)
@@ -180,8 +172,7 @@ class Worlds:
             step, reset = (lambda: mjw.step(model, data)), (lambda: mjw.reset_data(model, data, self._begins))
             derive = (lambda: mjw.set_const(model, data, restore=False)) if blueprint.derives else reset
             if self._device.is_cuda and compilers:
-                launches = step, reset, derive
-                load_together(self._device, lambda: [each() for each in launches], compilers, elsewhere)
+                load_together(self._device, lambda: [each() for each in (step, reset, derive)], compilers)
             self.step, self._reset, self._derive = (captured(self._device, e) for e in (step, reset, derive))
             if blueprint.gear is not None:
                 self._dry = wp.zeros_like(model.dof_frictionloss)
