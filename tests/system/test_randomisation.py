@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -316,6 +317,16 @@ def test_actuators_have_the_identified_numbers(
     drawn = {k: v for term in terms.values() for k, v in getattr(term, "params", {}).items()}
     of = ("kd", "ranges") if mjlab else ("damping_distribution_params", "dry")
     np.testing.assert_allclose([np.mean(drawn[key]) for key in of], [servo["damping"], dry], rtol=1e-3)
+    assert "\n# load" not in text and "\n# emf" not in text, "what is drawn is not among what is lost"
+
+
+def test_what_friction_of_a_gear_loses_is_said_number_by_number(written: Write) -> None:
+    rest = "  rest: {nominal: 0.1, bounds: [0, 1], targets: [{joint: hip, set: stribeck_friction}]}\n"
+    alone = GEARED.splitlines(keepends=True)[1]  # no parameter of the model's own field carries the share
+    for more, lost in ((GEARED + rest, ["rest"]), (alone, ["load"])):
+        system, names = System.load(written(more, COMMANDED)), re.findall(r"^  (\w+):", more, re.M)
+        text = mjlab_text(system, belief_of(system, np.zeros(len(names)), 1e-6 * np.eye(len(names))))
+        assert [name for name in names if f"\n# {name}, " in text] == lost
 
 
 def test_the_usual_load_is_that_of_gravity() -> None:

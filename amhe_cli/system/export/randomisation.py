@@ -232,12 +232,13 @@ def _left_out(draws: Drawn, belief: Belief, late: Collection[str]) -> Iterator[s
 
     Actuators cover those that are `late`, which delay commands.
     """
+    constants = set(_counted(draws))
     for column, name in enumerate(belief.names):
         theta = np.tile(belief.estimate, (2, 1))
         theta[1, column] = belief.given({}).sample(1, SEED)[0, column]
         written = draws.system.edits.written(theta).items()
         moved = {(key, int(row)) for key, (one, two) in written for row in np.nonzero(one != two)[0]}
-        if not (moved or name in late) or not moved <= draws.used:
+        if not (moved or name in late) or not moved - constants <= draws.used:
             low, high = ends(draws.theta[:, column])
             what = "" if draws.system.sets[name] == name else f": {draws.system.sets[name]}"
             yield f"{name}, {low:g} to {high:g}{what}"
@@ -314,6 +315,17 @@ def _as_constants(model: mujoco.MjModel, arrays: Mapping[str, FloatArray]) -> No
             fields["dof_frictionloss"][:, gears.dofs] += share * load[gears.dofs]
         for row, at in servos.items() if BIAS in fields else ():
             fields[BIAS][:, row, 2] -= numbers[:, at[back_emf]]
+
+
+def _counted(draws: Drawn) -> Iterator[tuple[str, int]]:
+    """Numbers of gears and servos that events draw with those fields."""
+    gears, back_emf = GearFriction.of(draws.model), list(OF_SERVO).index("back_emf")
+    held = zip(gears.dofs, gears.at, strict=True) if gears is not None else ()
+    parts = [("dof_frictionloss", int(dof), at[:2]) for dof, at in held]
+    parts += [(BIAS, row, at[back_emf : back_emf + 1]) for row, at in SERVOS.rows(draws.model).items()]
+    for name, row, numbers in parts:
+        if name in draws.arrays and (name, row) in draws.used:
+            yield from (("numeric_data", int(number)) for number in numbers)
 
 
 def usual_load(model: mujoco.MjModel) -> FloatArray:
