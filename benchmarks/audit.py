@@ -42,7 +42,7 @@ from amhe_cli.logs import read_log
 NOISE, LATE, HZ = 3e-4, 0.008, 100
 #: Noise of measured torques, as a share of what the motion needs.
 SHARE = 0.01
-#: A number can be told where the truth is so many sd away, of the log and the data sheet together.
+#: A number is within reach where the truth is so many sd away, of the log and the data sheet together.
 TOLD = 4.0
 #: Stiffness of the servos of seven joints [N m/rad].
 SERVOS = (400.0, 400.0, 300.0, 300.0, 100.0, 100.0, 50.0)
@@ -247,7 +247,7 @@ def main() -> None:
         (
             "robot",
             "spoilt",
-            "can be told",
+            "within reach",
             "found of these (>= 90 %)",
             "tables with a false one (<= 5 %)",
             "sd of t of right numbers",

@@ -9,14 +9,13 @@ from typing import Any
 
 from latex2mathml.converter import convert
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 
 README = Path(__file__).parents[1] / "README.md"
-#: [text](../path) of a file that is not in docs/.
-_OUTSIDE = re.compile(r"\[([^\]]*)\]\(\.\./[^)]*\)")
-
 
 #: $$ ... $$ and $...$: equations in LaTeX, as GitHub renders them.
 _DISPLAYED, _INLINE = re.compile(r"\$\$(.+?)\$\$", re.DOTALL), re.compile(r"(?<![\w`$])\$([^$\n]+)\$")
+_KEPT = '<span style="white-space:nowrap">{}</span>'
 _CODE = re.compile(r"(```.*?```|`[^`\n]*`)", re.DOTALL)
 
 
@@ -29,8 +28,9 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def on_page_content(html: str, **_: Any) -> str:
-    """Lines of inline code do not end at a hyphen, as of an option, nor within a name."""
-    return re.sub(r"(?<!<pre>)<code>([^<]*)</code>", lambda m: f"<code>{_whole(m[1])}</code>", html)
+    """Lines of inline code do not end at a hyphen or within a name; options of blocks are whole, too."""
+    html = re.sub(r"(?<!<pre>)<code>([^<]*)</code>", lambda m: f"<code>{_whole(m[1])}</code>", html)
+    return re.sub(r"(?<=\s)--?\w[\w-]*(?=[^<>]*</code></pre>)", lambda m: _KEPT.format(m[0]), html)
 
 
 def _whole(code: str) -> str:
@@ -38,15 +38,17 @@ def _whole(code: str) -> str:
 
     def word(match: re.Match[str]) -> str:
         if "-" in match[0] and 2 <= len(match[0]) <= 24:
-            return f'<span style="white-space:nowrap">{match[0]}</span>'
+            return _KEPT.format(match[0])
         return re.sub(r"[/_.](?=\w)", r"\g<0><wbr>", match[0]) if len(match[0]) > 10 else match[0]
 
     return re.sub(r"\S+", word, code)
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
+def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
     """Links to the README lead to the first page, other files are named only, and equations are MathML."""
-    markdown = _OUTSIDE.sub(r"\1", markdown.replace("](../README.md", "](index.md"))
+    up = "../" * (page.file.src_uri.count("/") + 1)  # out of docs/
+    markdown = markdown.replace(f"]({up}README.md", f"]({up.removeprefix('../')}index.md")
+    markdown = re.sub(rf"\[([^\]]*)\]\({re.escape(up)}[^)]*\)", r"\1", markdown)
     parts = _CODE.split(markdown)
     return "".join(part if part.startswith("`") else _with_equations(part) for part in parts)
 

@@ -376,7 +376,7 @@ def _wider(found: Identification) -> float:
 
 
 def _cure(system: System, found: Identification, evidence: Findings, claim: Claim) -> str:
-    """What would tell a number."""
+    """What would decide about a number."""
     row = system.space.names.index(claim.parameter)
     idle = any(reason.kind == "idle" for reason in found.parameters[row].reasons)
     if claim.number.kind == "force_limit" and idle:

@@ -1,1 +1,1 @@
-"""What is wrong with the numbers of a model, and what a log will tell of it, before anything is fitted."""
+"""What is wrong with the numbers of a model, and what a log will say of it, before anything is fitted."""

@@ -148,7 +148,7 @@ def _doubts(system: System, logs: Sequence[Log], moved: Sequence[JointMotion]) -
     for log in logs:
         for key in system.keys:
             if (lost := float(1.0 - log[key].valid.mean())) > _OFTEN:
-                yield "gaps", key, f"no value in {lost:.0%} of {log.source}", 1.0 + lost
+                yield "gaps", key, f"no value in {100.0 * lost:.0f} % of {log.source}", 1.0 + lost
         if not (system.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any():
             yield from _along(system, log)
 
@@ -188,4 +188,4 @@ def _along(system: System, log: Log) -> Iterator[Doubt]:
     says = {"saturated": "it gives all its force", "contact": "they touch"}
     for (kind, where), count in often.items():
         if (share := count / len(states.qpos)) > _OFTEN:
-            yield kind, where, f"{says[kind]} {share:.0%} of the time in {log.source}", 1.0 + share
+            yield kind, where, f"{says[kind]} {100.0 * share:.0f} % of the time in {log.source}", 1.0 + share

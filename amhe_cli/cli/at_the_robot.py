@@ -161,7 +161,7 @@ def attended(target: Any, session: Session, go: Callable[[], Ending]) -> Ending:
 def attendant(
     session: Session, link: dict[str, Any]
 ) -> Callable[[Any, Recorder, History], AbstractContextManager[None]]:
-    """As `ready`, for a run that is recorded; what `link_record` tells in the end goes into `link`."""
+    """As `ready`, for a run that is recorded; what `link_record` reports in the end goes into `link`."""
 
     @contextmanager
     def attend(target: Any, recorder: Recorder, history: History) -> Iterator[None]:
@@ -247,7 +247,7 @@ def calibrate(session: Session, given: Given) -> None:
     """Find go1.trunk_offset and go1.box_offset from robot and box that you put where it says.
 
     Writes offsets.yaml, for --config of `amhe run` and `amhe probe`, and result.json. The robot must be in
-    low-level mode (docs/go1.md); its joints and its IMU tell how it lies. Nothing moves.
+    low-level mode (docs/go1.md); its joints and its IMU show how it lies. Nothing moves.
     """
     from amhe_cli.core.files import filling, json_text
     from amhe_cli.robots.go1.link.open import open_calibration

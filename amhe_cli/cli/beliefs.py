@@ -39,7 +39,7 @@ def pool(session: Session, given: Given) -> None:
     console.print(rich_table(pool_table(found.sources, found.beliefs, found.belief, found.differences)))
     console.print(
         f"\nthe runs agree: chi-square {agreed.chi_square:.3g} of {agreed.freedom}, which noise exceeds in "
-        f"{agreed.chance:.1%} of cases"
+        f"{100.0 * agreed.chance:.1f} % of cases"
     )
     if given.out is not None:
         print(f"wrote {given.out}")

@@ -1,4 +1,4 @@
-"""`amhe check`: what is wrong with a model's numbers, and what a log will tell, before anything is fitted."""
+"""`amhe check`: what is wrong with a model's numbers, and what a log will determine, before any fit."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def check(session: Session, given: Given) -> int | None:
     from amhe_cli.system.model.files import compiled, read_spec
 
     if given.require and not given.logs:
-        raise click.UsageError("--require is about what a log will tell: give a LOG")
+        raise click.UsageError("--require is about what a log will determine: give a LOG")
     given.refuse_existing()
     path = model_file(given.model)
     session.listed = of_model = []

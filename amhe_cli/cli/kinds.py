@@ -161,6 +161,8 @@ class NewFile(_Named):
         path: Path = super().convert(value, param, ctx)
         if not path.absolute().parent.is_dir():
             self.fail(f"there is no folder '{path.parent}'", param, ctx)
+        if (self.metavar or "").endswith(".json") and path.suffix != ".json":
+            self.fail(f"'{path}' does not end in .json, and there is no page of this", param, ctx)
         return path
 
 

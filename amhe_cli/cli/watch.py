@@ -214,7 +214,7 @@ def _shown(session: Session, report: WatchReport) -> Iterator[Callable[[str], No
 def _to_foxglove(
     session: Session, closed: ExitStack, port: int | None, msg_path: Path | None
 ) -> Iterator[Callable[[str, str, bytes], None]]:
-    """What shows messages to Foxglove, where it is asked for."""
+    """What shows messages to Foxglove, where it is requested."""
     if port is None:
         return
     from amhe_cli.logs.live.foxglove import FoxgloveServer

@@ -253,8 +253,8 @@ def _missing(fit: FinalFit, watch: Watch) -> Missing | None:
     explained = explain(problem.system, problem.pool.parts, 0.0 * fit.z, problem.rng(9))
     for row in explained.rows[:1]:
         logger.warning(
-            f"{row.place}: {row.text}: so the logs say, it explains {row.share:.0%} of the motion there that "
-            "the model does not"
+            f"{row.place}: {row.text}: so the logs say, it explains {100.0 * row.share:.0f} % of the motion "
+            "there that the model does not"
         )
     return explained
 
@@ -263,7 +263,7 @@ def _report_budget(system: System, ledger: Ledger) -> None:
     """Log what each parameter's variance is made of."""
     for i, name in enumerate(system.space.names):
         shares = sorted(ledger.budget(i).items(), key=lambda item: -item[1])
-        listed = ", ".join(f"{kind} {share:.0%}" for kind, share in shares if share >= LEAST)
+        listed = ", ".join(f"{kind} {100.0 * share:.0f} %" for kind, share in shares if share >= LEAST)
         logger.info(f"{name}: its variance is {listed}")
 
 

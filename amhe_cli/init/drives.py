@@ -140,7 +140,7 @@ def _numbers(model: mujoco.MjModel, joint: str) -> tuple[float, ...]:
 
 
 def kin(name: str) -> str:
-    """A name without the words and numbers that tell one of several alike: FL_foot and RR_foot are foot."""
+    """A name without the words and numbers that mark one of several alike: FL_foot and RR_foot are foot."""
     bare = [word for word in words(name) if word not in _SIDES and not word.isdigit()]
     return "_".join(bare) or name
 

@@ -20,7 +20,7 @@ _SKELETON = "this type is not built in: correct the paths of its numbers to use 
 _GEARED = (
     "",
     "# Servos have gears, whose friction grows with load: intervals allow for it. Name no direct drives;",
-    "# with known loads, `amhe compare --friction` says what it is. Lifting and lowering tell load from",
+    "# with known loads, `amhe compare --friction` says what it is. Lifting and lowering separate load and",
     "# friction: once what is held out has judged a fit, a log of a few seconds is fitted to its end.",
     "settings:",
     "  clips: {held_out_least: 2}",

@@ -69,7 +69,7 @@ def beside_table(found: Sequence[ParameterResult]) -> Table:
 
 
 def audit_text(lines: Sequence[Line], found: Audit | None, out: object = None) -> Iterator[str]:
-    """What is said below the table: what would tell the rest, and how well the logs are explained."""
+    """What is said below the table: what would decide the rest, and how well the logs are explained."""
     cures: dict[str, list[str]] = {}
     for line in lines:
         if line.verdict == VERDICTS[2]:
@@ -110,9 +110,9 @@ def _compared(found: Identification) -> Iterator[str]:
 
 
 def count_text(lines: Sequence[Line]) -> str:
-    """'3 contradicted, 9 agree, 21 cannot be told by this log'."""
+    """'3 contradicted, 9 agree, 21 undecided by these logs'."""
     counts = [sum(line.verdict == verdict for line in lines) for verdict in VERDICTS]
-    return f"{counts[0]} contradicted, {counts[1]} agree, {counts[2]} cannot be told by these logs"
+    return f"{counts[0]} contradicted, {counts[1]} agree, {counts[2]} undecided by these logs"
 
 
 def audit_record(lines: Sequence[Line], found: Audit | None) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What is wrong with a model, and what logs will tell: on a terminal, as a page, and before a fit."""
+"""What is wrong with a model, and what logs will determine: on a terminal, as a page, and before a fit."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _LEFT_OPEN = re.compile(r"[,:] that leaves [^;]* open")
 _CURES = {
     "idle": "move what it acts on, or log what it moves: `amhe probe` writes an excitation",
     "open": "move what it acts on faster and farther: `amhe probe` writes an excitation",
-    "together": "measure one of them, or record a motion that tells them apart: `amhe probe`",
+    "together": "measure one of them, or record a motion in which they differ: `amhe probe`",
     "assumed": "measure what is given, or make it a parameter",
     "prior": "measure what your prior is about, or free what it holds: another motion, `amhe probe`",
     "noise": "record more, or another motion: `amhe probe`",
@@ -73,7 +73,7 @@ def said_before(system: System, more: Iterable[Finding], console: Console | None
 
 
 def print_expected(hope: Expected, moved: Sequence[JointMotion], console: Console) -> None:
-    """Print where the motion is, and what it will tell."""
+    """Print where the motion is, and what it will determine."""
     for table in (_motion_table(moved), _expected_table(hope)):
         if table.rows:
             console.print()
@@ -111,7 +111,7 @@ def check_page(
         name: Of the model.
         facts: The model in a few words.
         found: What is wrong, the worst first.
-        hope, moved: What logs will tell, and where their motion is; None: there is no log.
+        hope, moved: What logs will determine, and where their motion is; None: there is no log.
         missed: What was required, and is not expected.
         command: The command line.
     """
@@ -125,7 +125,7 @@ def check_page(
     if hope is not None:
         determined = sum(p.verdict in ("identified", "conditional") for p in hope.lines)
         good = "good" if determined == len(hope.lines) else "mixed"
-        tell = f"These logs will tell {determined} of {len(hope.lines)} parameters."
+        tell = f"These logs will determine {determined} of {len(hope.lines)} parameters."
         statements.append(Statement(good, tell))
         sections += [Section("Where the motion is", table=_motion_table(moved))] if moved else []
         sections += [
@@ -218,13 +218,13 @@ def relative(p: ParameterResult) -> float:
 
 
 def _why(hope: Expected, p: ParameterResult) -> str:
-    """Why a parameter will not be told, and what would cure it; '' of one that will."""
+    """Why a parameter will not be determined, and what would cure it; '' of one that will."""
     reason = hope.idle.get(p.name) or next((one.text for one in p.reasons), "these logs say little of it")
     return "; ".join(filter(None, (reason, _cure(p)))) if p.verdict != "identified" else ""
 
 
 def _alike(hope: Expected) -> dict[str, list[str]]:
-    """Why parameters will not be told -> those of which that is said."""
+    """Why parameters will not be determined -> those of which that is said."""
     alike: dict[str, list[str]] = {}
     for p in hope.lines:
         if why := _LEFT_OPEN.sub("", _why(hope, p)):

@@ -110,7 +110,7 @@ def write_comparison(
 def _page(compared: Compared, record: Mapping[str, Any], provenance: Mapping[str, Any]) -> str:
     names, horizons, best, verdicts = compared.names, compared.horizons, compared.best, compared.verdicts
     settled = _settled(compared)
-    clear = settled and not any("cannot tell" in text for text in verdicts)
+    clear = settled and not any("cannot decide" in text for text in verdicts)
     headline = f"{names[best]} predicts best." if clear else "The logs do not single out one model."
     if lines := record.get("lines", ()):
         headline = f"{names[best]} is the smallest model within one standard error of the best."
@@ -125,7 +125,8 @@ def _page(compared: Compared, record: Mapping[str, Any], provenance: Mapping[str
         headline=headline if settled else "The logs do not single out one model yet.",
         statements=[
             Statement(
-                "mixed" if "cannot tell" in text or not settled else "good", f"{text[0].upper()}{text[1:]}."
+                "mixed" if "cannot decide" in text or not settled else "good",
+                f"{text}." if text.startswith(tuple(names)) else f"{text[0].upper()}{text[1:]}.",
             )
             for text in verdicts
         ],
@@ -136,8 +137,8 @@ def _page(compared: Compared, record: Mapping[str, Any], provenance: Mapping[str
                 "clips that were not fitted, and follow the recorded commands. The error is the rms after so "
                 f"much time, over all joints. Behind it: the ratio to that of {names[best]} on the same "
                 "clips, with the 95 % interval of a bootstrap over clips; each joint counts in units of its "
-                "usual error. Above 1 the model is worse; an interval that holds 1 cannot tell, and fewer "
-                f"than {FEWEST} clips cannot either.",
+                "usual error. Above 1 the model is worse; an interval that holds 1 decides nothing, nor "
+                f"do fewer than {FEWEST} clips.",
                 table=comparison_table(names, horizons, best),
             ),
             *([Section("Each joint", table=_joint_table(names, horizons))] * (len(horizons[0].errors) > 1)),

@@ -143,11 +143,17 @@ def _verdict_text(result: Identification) -> str:
     if identified == total:
         return "All parameters are identified" if total > 1 else "The parameter is identified"
     if conditional:
-        also = f"{identified} identified, and " * (identified > 0)
-        return f"Of {total} parameters {also}{conditional} determined if a number that was given is right"
+        counts = ((identified, "identified"), (conditional, "determined if a number that was given is right"))
+        (first, what), *more = [one for one in counts if one[0]]
+        also = "".join(f", and {count} {_are(count)} {says}" for count, says in more)
+        return f"{first} of {total} parameters {_are(first)} {what}{also}"
     if not identified:
         return "No parameter is identified by these logs"
-    return f"{identified} of {total} parameters {'is' if identified == 1 else 'are'} identified"
+    return f"{identified} of {total} parameters {_are(identified)} identified"
+
+
+def _are(count: int) -> str:
+    return "is" if count == 1 else "are"
 
 
 def statements(result: Identification) -> list[Statement]:

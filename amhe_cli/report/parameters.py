@@ -123,7 +123,7 @@ def budget_section(parameters: Sequence[ParameterResult]) -> Section:
     rows = [
         (
             p.name,
-            numbers.quantity(numbers.rounded(p.sd, p.sd), p.unit),
+            numbers.quantity(numbers.rounded(p.sd, p.sd, max(abs(p.estimate), p.sd)), p.unit),
             cell("shares", [(kind, share, _COLORS[kind]) for kind, share in shares]),
             ", ".join(f"{kind} {100.0 * share:.0f} %" for kind, share in sorted(shares, key=lambda s: -s[1])),
             _share_of_sd(p),
@@ -150,7 +150,7 @@ def _share_of_sd(p: ParameterResult) -> str:
 #: A reason of so many parameters is said below their table, not in each row.
 MANY = 3
 
-_NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e-?\d+)?%?")
+_NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e-?\d+)?(?: %)?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +198,7 @@ def _texts(parameter: ParameterResult) -> list[str]:
 
 def _pattern(reason: str) -> str:
     """A reason without its numbers."""
-    return _NUMBER.sub(lambda number: "#%" if number[0].endswith("%") else "#", reason)
+    return _NUMBER.sub(lambda number: "# %" if number[0].endswith("%") else "#", reason)
 
 
 def _shared(pattern: str, group: Sequence[tuple[str, str]]) -> Shared:
@@ -215,5 +215,5 @@ def _shared(pattern: str, group: Sequence[tuple[str, str]]) -> Shared:
 
 def _range(column: Sequence[str]) -> str:
     """'2.9 to 7.9' of numbers that differ."""
-    least, *_, most = sorted((*column, column[0]), key=lambda number: float(number.rstrip("%")))
-    return most if least == most else f"{least.removesuffix('%')} to {most}"
+    least, *_, most = sorted((*column, column[0]), key=lambda number: float(number.rstrip(" %")))
+    return most if least == most else f"{least.removesuffix(' %')} to {most}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ AT_BEST = (
     "sd at best, of noise alone under an exact model: amhe identify adds what rests on gains, limits and the "
     "time step"
 )
-#: A parameter that is told so much worse than by plain motion is named.
+#: A parameter that is known so much worse than by plain motion is named.
 LITTLE = 0.9
 #: So many motions are shown at once.
 _FEW = 20
@@ -116,7 +117,7 @@ def _page(log: Path, system: System, record: Mapping[str, Any]) -> str:
 
 
 def headline(record: Mapping[str, Any]) -> str:
-    """What the probe tells, beside plain motion of the same length; 'Probe of 5 s: chirp 3: ...'."""
+    """What the probe shows, beside plain motion of the same length; 'Probe of 5 s: chirp 3: ...'."""
     key = "achieved_sd" if has_achieved(record) else "expected_sd"
     told = [
         (row["name"], row["plain_sd"] / row[key], *(sd_text(row, one) for one in ("plain", key[:-3])))
@@ -140,6 +141,10 @@ def _statements(record: Mapping[str, Any]) -> Iterator[Statement]:
         narrowed = [row["achieved_sd"] < 0.5 * row["prior_sd"] for row in record["parameters"]]
         text = f"The log at least halves the sd of {sum(narrowed)} of {len(narrowed)} parameters."
         yield Statement("good" if all(narrowed) else "mixed", text)
+    tried = {one["name"]: one["sd_over_prior"] for one in record.get("tried") or ()}
+    chosen = [tried.get(part["name"], 0.0) for part in record["sequence"]]
+    if tried.get(record["plain_title"], math.inf) < min(chosen):
+        yield Statement("mixed", "Plain motion is as good here: raise `probe.candidates`, or take longer.")
     yield Statement("mixed", f"Each number is the {AT_BEST}.")
     yield from fixed_statement(record["fixed"])
 

@@ -89,8 +89,8 @@ def _of_log(log: Log) -> Iterator[Section]:
             key,
             _rate(log, one),
             numbers.percent(float(one.valid.mean()) if one.valid.size else 0.0),
-            _range(one),
-            unit,
+            _range(one, shown_unit(unit)[0]),
+            shown_unit(unit)[1],
             ", ".join(one.columns),
         )
         for key, one, unit in _of_one_unit(log)
@@ -183,7 +183,7 @@ def _rate(log: Log, one: Series) -> str:
     return f"{(rows.size - 1) / np.ptp(rows) / log.dt:.4g} Hz" if rows.size > 1 else numbers.MISSING
 
 
-def _range(one: Series) -> str:
-    known = one.values[one.valid]
+def _range(one: Series, factor: float) -> str:
+    known = factor * one.values[one.valid]
     known = known[np.isfinite(known)]
     return f"{known.min():.3g} to {known.max():.3g}" if known.size else numbers.MISSING

@@ -214,7 +214,7 @@ def _parts(
 def _notes(found: Viewing) -> Iterator[str]:
     """What is not as a reader would expect."""
     if found.scene.system.match == "effort":
-        yield "Efforts are compared along the measured motion: only the plots tell the ghosts apart."
+        yield "Efforts are compared along the measured motion: only the plots show how the ghosts differ."
     names = [found.scene.names[i] for i in found.scene.unmeasured]
     if names:
         yield f"No signal gives the place of {', '.join(names)}: drawn grey, at home."

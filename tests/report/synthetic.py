@@ -23,7 +23,7 @@ SD = np.array([0.0055, 0.031, 0.42, 0.69])
 VERDICTS = ("identified", "conditional", "weak", "prior")
 REASONS = (
     (),
-    ((0.6, "assumed", "given the gain of servo, 4: known to 10 %, that leaves 3% open"),),
+    ((0.6, "assumed", "given the gain of servo, 4: known to 10 %, that leaves 3 % open"),),
     ((0.4, "repeats", "residuals repeat from sample to sample"), (0.3, "curvature", "the response bends")),
     ((1.0, "idle", "the residuals do not change with it"),),
 )

@@ -183,7 +183,7 @@ def test_the_page_shows_what_was_found(html: str) -> None:
     for text in (
         "load_mass",
         "0.7421 ± 0.0041",
-        "Of 4 parameters 1 identified, and 1 determined if a number that was given is right",
+        "1 of 4 parameters is identified, and 1 is determined if a number that was given is right",
         "a gap of 0.6 s &amp; more",
     ):
         assert text in html
@@ -278,13 +278,13 @@ def test_a_reason_of_many_parameters_is_said_once() -> None:
     def with_reasons(i: int, *reasons: str) -> ParameterResult:
         return replace(parameter(i), reasons=tuple(Reason("assumed", (), 1.0, text) for text in reasons))
 
-    rests = [f"given the time step, 2 ms: that leaves {share} open" for share in ("8%", "22%", "11%")]
+    rests = [f"given the time step, 2 ms: that leaves {share} open" for share in ("8 %", "22 %", "11 %")]
     rows = (*(with_reasons(i, text) for i, text in enumerate(rests)), with_reasons(3, "it is alone"))
     html = page(identification(parameters=rows, **PLAIN))
     assert html.count("given the time step") == 1
     assert (
-        "1: given the time step, 2 ms: that leaves 8 to 22% open: load_mass (8%), "
-        "damping (22%), friction_loss (11%)" in html
+        "1: given the time step, 2 ms: that leaves 8 to 22 % open: load_mass (8 %), "
+        "damping (22 %), friction_loss (11 %)" in html
     )
     assert html.count("reason 1 below") == 3 and "it is alone" in html
 

@@ -249,7 +249,8 @@ def test_a_log_shows_each_series_with_its_numbers(log: amhe.Log, tmp_path: Path)
     for key, one in log.series.items():
         row = cells[cells.index(key) :]
         assert row[5] == ", ".join(one.columns)
-        assert row[3] == f"{one.values[one.valid].min():.3g} to {one.values[one.valid].max():.3g}"
+        known = np.degrees(one.values[one.valid])  # of a joint that turns
+        assert row[3] == f"{known.min():.3g} to {known.max():.3g}"
     assert [panel["title"] for panel in panels(shown)] == list(log.series)
     assert "100 Hz" in cells and "50 Hz" in cells
     assert log.plot().save(tmp_path / "log.html").read_text().startswith("<!doctype html>")
@@ -292,7 +293,7 @@ def test_joints_that_slide_stand_apart_from_joints_that_turn() -> None:
     log = amhe.Log.from_arrays({"joints": {"time": time, "position": position}}, system)
     cells, shown = texts(written_page(log)), panels(written_page(log))
     at = [i for i, text in enumerate(cells) if text == "joints.position"]
-    assert [(cells[i + 4], cells[i + 5]) for i in at] == [("rad", "swing"), ("m", "lift")]
+    assert [(cells[i + 4], cells[i + 5]) for i in at] == [("°", "swing"), ("m", "lift")]
     assert [one["unit"] for one in shown if one["title"] == "joints.position"] == ["°", "m"]
     assert [one["unit"] for one in shown if one["title"] == "joints.velocity"] == ["°/s", "m/s"]
 

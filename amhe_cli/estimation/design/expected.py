@@ -1,4 +1,4 @@
-"""What a log will tell of each parameter, before it is fitted: expected sd and verdicts, in seconds.
+"""What a log will say of each parameter, before it is fitted: expected sd and verdicts, in seconds.
 
 A few of the log's clips are searched for a few iterations, which leads near the estimate; there the ledger of
 an identification is made of the terms that need no further search, as if all clips had been fitted.

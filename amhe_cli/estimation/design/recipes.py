@@ -161,7 +161,7 @@ class Recipe:
     @property
     def title(self) -> str:
         """What it is, in words."""
-        shares = ", ".join(f"{share:.0%}" for share in self.share)
+        shares = ", ".join(f"{100.0 * share:.0f} %" for share in self.share)
         return f"it uses {shares} of what the limits of joints, speed and force allow"
 
     def smaller(self, joint: int | None) -> Recipe | None:

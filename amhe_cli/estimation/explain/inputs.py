@@ -123,7 +123,8 @@ class Mended:
     @property
     def what(self) -> str:
         """It, with what speaks for it."""
-        return f"{self.text}: put right, {self.share:.0%} of the motion that the prior does not explain goes"
+        share = f"{100.0 * self.share:.0f} %"
+        return f"{self.text}: put right, {share} of the motion that the prior does not explain goes"
 
     @property
     def sentence(self) -> str:

@@ -266,7 +266,7 @@ def _repeating(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
 
 
 def _peaks(maker: CauseMaker, j: MeasuredDof) -> FloatArray:
-    """Frequencies [Hz] at which what is unexplained has most; a log of its length tells them apart."""
+    """Frequencies [Hz] at which what is unexplained has most; a log of its length separates them."""
     lowest = 2.0 / max(np.ptp(maker.time), 1e-9)
     hertz = np.arange(lowest, maker.motion.band, lowest / 8.0)[:_STEPS]
     if hertz.size < 3:

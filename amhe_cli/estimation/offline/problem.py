@@ -124,7 +124,7 @@ class Problem:
     def clips(self) -> tuple[Window, ...]:
         """The fitted logs cut into clips, each instant used once; where there are many, some of them.
 
-        Those that tell more are taken more often, but behind contacts, where slopes far from the estimate say
+        Those that show more are taken more often, but behind contacts, where slopes far from the estimate say
         nothing of it.
         """
         if self.only:

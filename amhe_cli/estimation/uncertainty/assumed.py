@@ -195,8 +195,8 @@ def _changes(fit: FinalFit) -> Iterator[_Change]:
         step = 1000.0 * option.timestep
         if rise < -EXPLAINS:
             logger.warning(
-                f"the time step is too long: at {0.5 * step:g} ms the model explains {-rise:.0%} of what it "
-                f"misses of the logs; run it at {0.5 * step:g} ms"
+                f"the time step is too long: at {0.5 * step:g} ms the model explains {-100 * rise:.0f} % of "
+                f"what it misses of the logs; run it at {0.5 * step:g} ms"
             )
         # to a step of zero: an error of order n falls to 2^-n of itself
         yield change.times(settings.time_step / (1.0 - 0.5**order), Source("the time step", f"{step:g} ms"))

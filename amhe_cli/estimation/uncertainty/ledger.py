@@ -181,7 +181,7 @@ def size(space: ParameterSpace, i: int, dz: float) -> str:
     if not p.log:
         return f"{dz * p.prior_sd:+.2g} {p.unit}".removesuffix(" -")
     percent = 100.0 * np.expm1(dz * p.prior_sd)
-    return f"{percent:+.0f}%" if abs(percent) >= 1.0 else f"{percent:+.1g}%"
+    return f"{percent:+.0f} %" if abs(percent) >= 1.0 else f"{percent:+.1g} %"
 
 
 def interval(space: ParameterSpace, z: FloatArray, sd: float, i: int) -> tuple[float, float]:

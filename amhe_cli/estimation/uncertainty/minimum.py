@@ -142,7 +142,7 @@ def _beyond_a_rise(cost: MatchingCost, z: FloatArray, corners: FloatArray) -> tu
 
 
 def _part(fit: FinalFit) -> Problem:
-    """The clips that tell most, from their recorded first states."""
+    """The clips that show most, from their recorded first states."""
     information = np.einsum("ij,cji->c", fit.posterior.covariance, fit.information.matrix) * fit.weight
     problem, part = fit.problem, fit.problem.part(np.sort(np.argsort(-information)[:FEW]))
     settings = problem.settings
@@ -189,5 +189,5 @@ def report_minima(fit: FinalFit, rival: Rival) -> None:
         both.append(f"{', '.join(values)} (cost {cost:.3g})")
     logger.warning(
         f"two minima explain the logs: {both[0]}, and {both[1]}; narrow the prior to the one that can be "
-        f"true, or record a motion that tells them apart"
+        f"true, or record a motion in which they differ"
     )

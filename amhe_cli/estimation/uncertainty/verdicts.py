@@ -233,14 +233,18 @@ def _at_bound(space: ParameterSpace, evidence: Evidence, i: int) -> list[Reason]
 
 
 def _partners(space: ParameterSpace, evidence: Evidence, i: int) -> list[Reason]:
-    """Whom a value trades places with; of a pair, both have the same words."""
-    row = evidence.correlations[i]
-    others = [j for j in range(len(space)) if j != i and abs(row[j]) > TOGETHER]
-    if not others:
+    """With which others a value trades places, if only by way of one; all have the same words."""
+    size = np.abs(evidence.correlations) * (1 - np.eye(len(space)))
+    linked = size > TOGETHER
+    group = np.arange(len(space)) == i
+    while (more := group | linked[group].any(axis=0)).sum() > group.sum():
+        group = more
+    if group.sum() == 1:
         return []
-    names = tuple(space.names[j] for j in sorted((i, *others)))
-    most = np.abs(row[others]).max()
-    signed = f"correlation {row[others[0]]:+.2f}"
-    size = signed if len(others) == 1 else f"correlations up to {most:.2f} in size"
-    text = f"known mostly together: {', '.join(names[:-1])} and {names[-1]} ({size})"
-    return [Reason("together", names, float(most), text)]
+    names = tuple(name for name, inside in zip(space.names, group, strict=True) if inside)
+    most = float(size[np.ix_(group, group)].max())
+    first, second = np.flatnonzero(group)[:2]
+    signed = f"correlation {evidence.correlations[first, second]:+.2f}"
+    extent = signed if len(names) == 2 else f"correlations up to {most:.2f} in size"
+    text = f"known mostly together: {', '.join(names[:-1])} and {names[-1]} ({extent})"
+    return [Reason("together", names, most, text)]

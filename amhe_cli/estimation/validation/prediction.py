@@ -284,7 +284,7 @@ def verdict(horizons: Sequence[AtHorizon], names: Sequence[str], best: int, othe
         return _listed([f"{at.horizon:.3g} s" for at in some])
 
     def smaller(some: Sequence[AtHorizon], i: int, j: int) -> str:
-        sizes = _listed([f"{1.0 - at.ratios[i, j]:.0%} after {at.horizon:.3g} s" for at in some])
+        sizes = _listed([f"{100.0 * (1.0 - at.ratios[i, j]):.0f} % after {at.horizon:.3g} s" for at in some])
         return f"{names[i]} predicts better than {names[j]}: its error is smaller by {sizes}"
 
     if improves(horizons, best, other):
@@ -295,8 +295,8 @@ def verdict(horizons: Sequence[AtHorizon], names: Sequence[str], best: int, othe
     if losses:
         return smaller(losses, other, best)
     if all(at.clips < FEWEST for at in horizons):
-        return f"the logs cannot tell {one} from {two}: fewer than {FEWEST} clips were held out"
-    return f"the logs cannot tell {one} from {two}: their errors differ by no more than chance"
+        return f"the logs cannot decide between {one} and {two}: fewer than {FEWEST} clips were held out"
+    return f"the logs cannot decide between {one} and {two}: their errors differ by no more than chance"
 
 
 def _listed(parts: Sequence[str]) -> str:

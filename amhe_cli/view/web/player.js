@@ -82,7 +82,7 @@ class Player {
   list() {
     const { candidates } = this.data, box = $("list");
     $("clips").hidden = !this.takes.length; box.replaceChildren();
-    $("clipkey").textContent = this.takes.length ? `cost: ${candidates.join(" → ")}` : "";
+    $("clipkey").textContent = this.takes.length ? `cost: ${candidates.join(" → ")}${this.takes.some((take) => take.held) ? "; what was held out comes first" : ""}` : "";
     const largest = Math.max(...this.takes.flatMap((take) => take.costs.filter((cost) => cost !== null)), 1e-9);
     this.takes.forEach((take, i) => {
       const label = `${take.start.toFixed(2)}–${take.stop.toFixed(2)} s`, costs = take.costs.map((cost) => cost === null ? "diverged" : brief(cost)).join(" → ");

@@ -163,7 +163,7 @@ def test_a_drift_beyond_noise_is_reported(caplog: pytest.LogCaptureFixture) -> N
     assert not caplog.messages
     report_drift(fit, Term("parts", errors, (halves,)))
     (text,) = caplog.messages
-    assert "their second half wants friction5 +40%, friction4 +20% against the first:" in text
+    assert "their second half wants friction5 +40 %, friction4 +20 % against the first:" in text
 
 
 def test_logs_are_named_by_their_files_as_far_as_they_differ() -> None:

@@ -135,17 +135,17 @@ def test_the_number_that_matters_most_is_named() -> None:
     assert result.verdict == "conditional" and result.given == "your prior of friction, 0.6"
     assert [reason.kind for reason in result.reasons] == ["prior", "assumed"]
     assert result.reasons[0].size > result.reasons[1].size > 0.25
-    assert texts(result)[1] == "given the gain of servo, 4: known to 10 %, that leaves 11% open"
+    assert texts(result)[1] == "given the gain of servo, 4: known to 10 %, that leaves 11 % open"
     friction = verdicts(SPACE, evidence(0.05, priors(0.3, 0.3)))[1]
     assert friction.verdict == "weak" and not friction.given, "its own prior is nobody else's number"
 
 
 def test_a_number_that_the_logs_doubt_and_when_it_acts_are_said() -> None:
     (text,) = texts(mass(evidence(0.05, assumed(0.3, doubted=True))))
-    assert text == "the logs speak against the gain of servo, 4: known to 10 %, that leaves 16% open"
+    assert text == "the logs speak against the gain of servo, 4: known to 10 %, that leaves 16 % open"
     limit = term("assumed", 0.3, Source("the tilt", acts=0.123))
     (text,) = texts(mass(evidence(0.05, limit)))
-    assert text == "given the tilt, which acts in 12 % of the steps: that leaves 16% open"
+    assert text == "given the tilt, which acts in 12 % of the steps: that leaves 16 % open"
 
 
 @pytest.mark.parametrize("sd", [0.05, 0.3])
@@ -186,7 +186,7 @@ def test_logs_that_contradict_themselves_are_model_sensitive(kind: Kind, error: 
     result = mass(evidence(0.05, term(kind, error, apart)))
     assert result.verdict == verdict
     word = {
-        "parts": f"the other disagree by +{100.0 * np.expm1(np.sqrt(2.0) * error * 0.5):.0f}%",
+        "parts": f"the other disagree by +{100.0 * np.expm1(np.sqrt(2.0) * error * 0.5):.0f} %",
         "curvature": "bends",
     }
     assert word[kind] in texts(result)[0]

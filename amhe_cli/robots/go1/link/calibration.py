@@ -60,7 +60,7 @@ class Calibration(Opened):
     """Use it as a context manager; nothing moves.
 
     Args:
-        link: Link to the robot, whose joints and IMU tell how it lies.
+        link: Link to the robot, whose joints and IMU show how it lies.
         feed: Source of poses.
         box: Box of the task, and where it is to be put down.
     """

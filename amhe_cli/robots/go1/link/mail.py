@@ -1,4 +1,4 @@
-"""What program and sender tell each other: plans and orders one way, samples and reports the other."""
+"""What program and sender send each other: plans and orders one way, samples and reports the other."""
 
 from __future__ import annotations
 
