@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import copy
 import functools
 import hashlib
 import json
@@ -12,6 +13,7 @@ import platform
 import subprocess
 import time
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -27,6 +29,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Log
 from amhe_cli.core.signals import Series
 from amhe_cli.matching.starts import tangent_of
+from amhe_cli.system.assumed import Acting, assumed_of, with_assumed
 from amhe_cli.system.description.data import Channel
 from amhe_cli.system.system import System
 
@@ -35,6 +38,8 @@ SYSTEMS = Path(__file__).resolve().parent / "systems"
 #: Real logs, not part of the project; benchmarks that need them are skipped where they are absent.
 DATA = PROJECT.parent / "shared" / "data"
 RESULTS = PROJECT / "amhe-out" / "benchmarks"
+#: Steps of a real motion in one of a model whose time step is doubted.
+FINER = 8
 
 #: Command over time: seconds -> input vector of the model's actuators.
 Command = Callable[[float], FloatArray]
@@ -55,6 +60,7 @@ def simulated(
     settle: float = 0.0,
     noisy_start: bool = True,
     askew: bool = False,
+    finer: int = 1,
 ) -> Log:
     """A log as the reader would make it, of the system's own model at theta.
 
@@ -69,26 +75,29 @@ def simulated(
         noisy_start: Whether the very first state carries noise as well.
         askew: The plant begins as far from the model's own state as its sensors err. Nothing real is exactly
             symmetric, and a simulation that is stays so, on a motion that any breath of air would end.
+        finer: Steps of the simulation in one of the log.
     """
     model = system.edits.apply(system.model, theta)
     late = system.edits.delays(theta[None])[0] / model.opt.timestep
     first = _askew(system, model, rng) if askew else model.qpos0
-    qpos, qvel, ctrl = _simulate(model, first, command, seconds, command_hz, settle, late)
-    every = round(1.0 / state_hz / model.opt.timestep)
+    logged = _simulate(model, first, command, seconds, command_hz, settle, late)
+    qpos, qvel, ctrl = (values[::finer] for values in logged)
+    dt = finer * model.opt.timestep
+    every = round(1.0 / state_hz / dt)
     steps = len(qpos) - 1
     rows = np.arange(0, steps + 1, every)
     truth = {"qpos": qpos, "qvel": qvel}
     series: dict[str, Series] = {}
     for channel in system.channels:
         if channel.source == "qvel" and channel.noise is None:
-            series[channel.key] = _derived(channel, series, rows * model.opt.timestep)
+            series[channel.key] = _derived(channel, series, rows * dt)
         else:
             series[channel.key] = _measured(channel, truth[channel.source], rows, rng, noisy_start)
     for source in system.inputs:
         names = tuple(f"u{c}" for c in source.columns)
         on = np.ones(steps + 1, dtype=bool)
         series[source.key] = Series(ctrl[:, list(source.columns)], on, on, names)
-    return Log(model.opt.timestep, series, "simulated")
+    return Log(dt, series, "simulated")
 
 
 def _askew(system: System, model: mujoco.MjModel, rng: np.random.Generator) -> FloatArray:
@@ -189,6 +198,32 @@ def stop_and_go(rng: np.random.Generator, seconds: float) -> Command:
         times += [times[-1] + push, times[-1] + push + pause]
         places += [place, place]
     return lambda t: np.array([np.interp(t, times, places)])
+
+
+def plant_of(system: System, rng: np.random.Generator) -> tuple[System, FloatArray, int]:
+    """A system that differs from its model by what the settings say that the model's numbers are worth.
+
+    Args:
+        system: The system.
+        rng: Draws how far each assumed value is off, and by how much softer or harder contacts are.
+
+    Returns:
+        The system with the assumed values as further parameters; how far they are off, shape (k,); and how
+        many of its steps make one of the model's: `FINER` where the settings doubt the time step.
+    """
+    model, doubts = system.model, system.settings.identify.assumed
+    counts = model.nactuator, model.nactuator, model.nu, model.njnt, model.njnt
+    acts = Acting(*(np.ones((1, count), dtype=bool) for count in counts))
+    plant = with_assumed(system, [v for v in assumed_of(system, acts, system.space.names, {}) if v.sd > 0.0])
+    values = plant.space.parameters[len(system.space) :]
+    away = [p.prior_sd * z for p, z in zip(values, rng.standard_normal(len(values)), strict=True)]
+    off = [p.nominal * np.exp(d) if p.log else p.nominal + d for p, d in zip(values, away, strict=True)]
+    changed, finer = copy.copy(plant.model), FINER if doubts.time_step else 1
+    changed.opt.timestep = model.opt.timestep / finer
+    factor = 2.0 ** (doubts.contacts * rng.standard_normal())
+    for solref in (changed.geom_solref, changed.pair_solref):
+        solref[solref[:, 0] > 0.0, 0] *= factor
+    return replace(plant, model=changed), np.array(off), finer
 
 
 def drawn_from_prior(system: System, rng: np.random.Generator) -> FloatArray:

@@ -40,6 +40,7 @@ from common import (
     drawn_from_prior,
     made_with,
     over_seeds,
+    plant_of,
     seeds_of,
     show,
     simulated,
@@ -49,7 +50,6 @@ from coverage import STEP, log_of
 import amhe_cli as amhe
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.settings import AssumedSettings
-from amhe_cli.system.assumed import Acting, assumed_of, with_assumed
 
 CASES = ("pendulum", "arm", "box")
 LEVELS = (0.5, 0.8, 0.9, 0.95)
@@ -128,26 +128,13 @@ def sway(rng: np.random.Generator) -> Command:
     return lambda t: CENTRE + (size * (np.sin(2.0 * np.pi * hertz * t + phase) - np.sin(phase))).sum(axis=1)
 
 
-def plant_of(system: amhe.System, rng: np.random.Generator) -> tuple[amhe.System, FloatArray]:
-    """A system whose further parameters are assumed values that are off, and how far they are [SI]."""
-    model = system.model
-    counts = model.nactuator, model.nactuator, model.nu, model.njnt, model.njnt
-    acts = Acting(*(np.ones((1, count), dtype=bool) for count in counts))
-    plant = with_assumed(system, assumed_of(system, acts, system.space.names, {}))
-    plant.model.opt.timestep = model.opt.timestep
-    values = plant.space.parameters[len(system.space) :]
-    away = [p.prior_sd * z for p, z in zip(values, rng.standard_normal(len(values)), strict=True)]
-    off = [p.nominal * np.exp(d) if p.log else p.nominal + d for p, d in zip(values, away, strict=True)]
-    return plant, np.array(off)
-
-
 def trial(case: str, assumed: bool, seed: int) -> dict[str, Any]:
     """Ranks of one truth in its posterior."""
     logging.disable(logging.WARNING)
     rng = np.random.default_rng([seed, CASES.index(case), assumed])
     system = system_of(case, assumed)
     truth = drawn_from_prior(system, rng)
-    plant, off = plant_of(system, rng) if assumed else (system, np.empty(0))
+    plant, off, _ = plant_of(system, rng) if assumed else (system, np.empty(0), 1)
     theta = np.concatenate((truth, off))
     if case == "arm":
         log = simulated(plant, theta, sway(rng), 10.0, rng, settle=1.0)

@@ -118,7 +118,7 @@ def test_ranks_of_a_posterior_that_is_too_narrow_leave_both_bands(sbc) -> None:
 @pytest.mark.parametrize("case", ["pendulum", "arm"])
 def test_an_assumed_value_that_is_off_moves_the_plant_and_not_the_model(sbc, case: str) -> None:
     system = sbc.system_of(case, assumed=True)
-    plant, off = sbc.plant_of(system, np.random.default_rng(0))
+    plant, off, _ = sbc.plant_of(system, np.random.default_rng(0))
     names = plant.space.names[len(system.space) :]
     assert len(off) == len(names) > 0 and any("gain" in name for name in names)
     gains = [

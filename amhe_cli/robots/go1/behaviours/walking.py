@@ -109,10 +109,11 @@ class Steering:
             `offset_limit` [m].
         yaw_limit: How far the robot's yaw may lead the box's [rad].
         touching: Distance from bumper to box below which the box is to move [m].
+        near: The same where the box has stood for `patience` [s]: a face may be nearer than stated.
         lead: The planner aims at this much more than the commanded speed: a box moves in pulses, and the
             quadratic cost of a pulsing speed is least below its mean.
         creep: The planner's aim is no slower than this [m/s] until the box is `enough` [m] before the goal:
-            a box that is pushed ever more slowly sticks.
+            a box that is pushed ever more slowly sticks. One that comes no further than that stands.
     """
 
     path_gain: float = 1.5
@@ -123,6 +124,8 @@ class Steering:
     offset_limit: float = 0.12
     yaw_limit: float = 0.2
     touching: float = 0.015
+    near: float = 0.03
+    patience: float = 0.5
     lead: float = 1.1
     creep: float = 0.08
     enough: float = 0.01
@@ -173,7 +176,7 @@ class Helm:
         self._steering, self._retreat = steering, retreat
         self._pacing, self._insisting = Pacing(), Insisting()
         self.retreating = False
-        self._gone, self._held = 0.0, 0.0
+        self._gone, self._held, self._mark = 0.0, 0.0, (-np.inf, 0.0)
 
     def on_path(self, state: State) -> Reference:
         """The fixed path reference: what the task demands, whether or not it can be done."""
@@ -206,12 +209,15 @@ class Helm:
         touching = gap < s.touching
         if touching and commanded == self._speed:  # not while the commanded speed falls
             self._pacing.update(state.time, 1.0 - heading_velocity(state.trunk)[0] / self._speed)
-        if touching and speed > 0.0:
-            self._insisting.update(state.time, heading_velocity(state.box)[0], speed)
+        stands = self._stands(state.time, progress, gap)
+        if speed > 0.0 and (touching or stands or (gap < s.near and self._insisting.share > 0.0)):
+            reached = heading_velocity(state.box)[0] if touching else speed
+            self._insisting.update(state.time, 0.0 if stands else reached, speed)
         more = self._insisting.share
+        pushing = 1.0 if touching else more if gap < s.near else 0.0
         return Reference(
             state.time, (1.0 + more) * speed, origin, heading, box_yaw + limited(missing, s.yaw_limit),
-            heading, speed * self._path.curvature, offset, float(touching), more,
+            heading, speed * self._path.curvature, offset, pushing, more,
         )  # fmt: skip
 
     def _aim(self, commanded: float, progress: float) -> float:
@@ -224,6 +230,14 @@ class Helm:
         """Distance from bumper to the box's face, and the bumper's middle left of the box's [m]."""
         ahead, left = bumper_from_box(state.trunk, state.box)
         return overlap - self._half_length - float(ahead), float(left)
+
+    def _stands(self, time: float, progress: float, gap: float) -> bool:
+        """Whether the box that the robot is near has come no further for a while."""
+        s, (mark, since) = self._steering, self._mark
+        if gap >= s.near or progress > mark + s.enough:
+            self._mark = progress, time
+            return False
+        return time - since > s.patience
 
     def _judge(self, gap: float, misplaced: float, left: float, turn: float) -> None:
         """Enter or leave the retreat."""

@@ -280,6 +280,20 @@ def test_a_box_that_stands_is_pushed_harder_until_it_moves() -> None:
     assert pushed[-1].speed > 1.3 * pushed[0].speed
 
 
+@pytest.mark.parametrize("speed", [0.0, 0.1])
+def test_a_box_that_stands_is_pushed_although_its_face_seems_to_be_farther(speed: float) -> None:
+    """As that of a box that is larger than stated, to which the robot never comes nearer."""
+    steered = helm()
+    for cycle in range(150):
+        state = along(LINE, 1.0 + speed * 0.02 * cycle, gap=0.02)
+        at = steered.reference(replace(state, time=0.02 * cycle))
+        assert cycle > 25 or (at.pushing == at.harder == 0.0)
+    stands = speed == 0.0
+    assert (at.harder > 0.3 and at.pushing == at.harder) if stands else (at.harder == at.pushing == 0.0)
+    far = steered.reference(replace(along(LINE, 1.0, gap=0.05), time=3.0))
+    assert far.pushing == 0.0, "it has lost the box"
+
+
 PERIOD = 0.02
 
 
