@@ -188,8 +188,10 @@ def _warn(system: System, problem: Problem) -> None:
         bodies = [(name, inertia_of(name)) for name in held]
         names = [f"numbers of {body}" if body else name for name, body in bodies]
         names = list(dict.fromkeys(names))  # nobody knows the coordinates of inertias
-        are = "is held at its prior" if names == held[:1] else "are held at their priors"
-        logger.warning(f"{and_more(names, 3)} {are}: {reason}")
+        one = names == held[:1]
+        are = "is held at its prior" if one else "are held at their priors"
+        why = reason if one else reason.replace(" depends on it", " depends on them")
+        logger.warning(f"{and_more(names, 3)} {are}: {why}")
 
 
 def concluded(search: Search, *, quick: bool = False) -> Identification:

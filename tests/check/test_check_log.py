@@ -137,7 +137,7 @@ def test_what_is_wrong_with_a_recording_stands_in_the_list(
     found = {one["kind"]: one for one in findings}
     assert [one["kind"] for one in findings].count("saturated") == 1
     assert {"gaps", "saturated", "contact"} <= found.keys()
-    assert found["saturated"]["where"] == "servo" and "100%" in found["saturated"]["what"]
+    assert found["saturated"]["where"] == "servo" and "100 %" in found["saturated"]["what"]
     assert found["contact"]["where"] == "rod, world"
     assert all(one["cure"] for one in found.values())
 

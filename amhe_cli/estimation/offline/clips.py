@@ -91,7 +91,7 @@ class ClipPool:
 
     Args:
         system: The system, which defines the series that a clip needs.
-        parts: Parts of logs in which clips may lie.
+        parts: Parts of logs in which clips may lie; of a log in pieces, such as throws, the pieces.
         settings: Lengths of clips, and when a clip is motionless.
         motionless, across_gaps: Number of clips that `cut` has dropped for either reason.
     """
@@ -103,6 +103,25 @@ class ClipPool:
     across_gaps: int = 0
     _usable: dict[int, BoolArray] = field(default_factory=dict)
     _noise: dict[tuple[int, str], float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.parts = [piece for part in self.parts for piece in self._pieces(part)]
+
+    def _pieces(self, part: Window) -> list[Window]:
+        """A part, or its stretches without a gap where none of them has room for two usual clips."""
+        usable = self._usable_rows(part.log)[part.start : part.stop + 1]
+        ends = np.flatnonzero(np.diff(usable, prepend=False, append=False)).reshape(-1, 2)
+        least, most = (round(seconds / part.log.dt) for seconds in self.settings.length)
+        pieces = [Window(part.log, part.start + int(a), int(b - a) - 1) for a, b in ends if b - a > least]
+        if len(ends) < 2 or not pieces or max(piece.length for piece in pieces) >= least + most:
+            return [part]
+        return pieces
+
+    def _usable_rows(self, log: Log) -> BoolArray:
+        """Rows of a log where all that a clip needs is measured, shape (T,)."""
+        if id(log) not in self._usable:
+            self._usable[id(log)] = log.usable(self.keys)
+        return self._usable[id(log)]
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -148,10 +167,7 @@ class ClipPool:
         return clips
 
     def _crosses_gap(self, clip: Window) -> bool:
-        log = clip.log
-        if id(log) not in self._usable:
-            self._usable[id(log)] = log.usable(self.keys)
-        return not self._usable[id(log)][clip.start : clip.stop + 1].all()
+        return not self._usable_rows(clip.log)[clip.start : clip.stop + 1].all()
 
     def _is_still(self, clip: Window) -> bool:
         """Whether no compared position moves by more than a few noise sd."""

@@ -122,6 +122,17 @@ def test_random_clips_are_not_counted_among_those_that_a_log_lacks(model) -> Non
     assert (pool.motionless, pool.across_gaps) == (3, 0)
 
 
+def test_of_throws_with_pauses_between_them_each_is_a_clip(model) -> None:
+    """Side by side from the log's beginning, none had been whole."""
+    own, throws = system(model, position=0.001), TIMES[TIMES < 0.8]
+    times = np.concatenate([throws + start for start in (0.0, 2.3, 4.1, 7.7)])
+    log = amhe.Log.from_arrays({"joints": {"time": times, "position": np.sin(3.0 * times)}}, own)
+    pool = ClipPool(own, [whole(log)], ClipSettings(length=(0.5, 1.5)))
+    starts = [clip.start * log.dt for clip in pool.cut(1.0)]
+    assert starts == pytest.approx([0.0, 2.3, 4.1, 7.7], abs=0.02) and pool.across_gaps == 0
+    assert len(pool.draw(np.random.default_rng(0), 20)) == 20
+
+
 def test_where_hardly_any_place_holds_a_clip_those_side_by_side_are_taken(model) -> None:
     own, times = system(model, position=0.001), np.arange(0.0, 230.0, 0.005)
     position = np.where((times < 23.0) | (times > 24.3), np.nan, np.sin(times))
