@@ -1,7 +1,8 @@
 """Verdicts: what stands between a value and 'identified', read from the ledger.
 
 identified       with all terms in, DETERMINED of the prior's sd is gone, and would be if given numbers and
-                 contradictions were DOUBT times as large
+                 contradictions were DOUBT times as large; and it moves by no more than its own sd where
+                 priors of other unknowns are DOUBT sd off
 conditional      the logs determine it, if a number that somebody else gave is right
 model-sensitive  the model misses the logs, or the value would be identified if the logs agreed with
                  themselves and the response were straight
@@ -118,6 +119,9 @@ def verdict_of(ledger: Ledger, i: int, own: Collection[str], *, misses: bool) ->
     """
     total, rests = float(ledger.covariance[i, i]), ledger.given(i, own)
     given = sum(variance for variance, _ in rests)
+    # of a ratio that logs show, more data leave nothing but the other's prior, however wide the own one is;
+    # where logs tell both apart, more data take that part away
+    borrowed = sum(variance for variance, source in rests if source.parameter)
     contradictions = ledger.variance(i, CONTRADICTIONS)
     contradictions += sum(variance for variance, _ in ledger.given(i, own, doubted=True))
     more = DOUBT**2 - 1.0  # of a variance whose sd is so many times as large
@@ -128,7 +132,8 @@ def verdict_of(ledger: Ledger, i: int, own: Collection[str], *, misses: bool) ->
     if misses:
         best = shrinkage(total - max(given, contradictions))
         return "model-sensitive" if best >= NOTHING else "prior", ""
-    if shrinkage(total + more * (given + contradictions)) >= DETERMINED:
+    stays = DOUBT**2 * borrowed <= total
+    if stays and shrinkage(total + more * (given + contradictions)) >= DETERMINED:
         return "identified", ""
     if shrinkage(total - given + more * contradictions) >= DETERMINED:
         return "conditional", _given(rests[0][1])

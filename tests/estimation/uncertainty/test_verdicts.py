@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -107,27 +108,52 @@ def assumed(error: float, doubted: bool = False) -> Term:
     return term("assumed", error, Source(GAIN.name, GAIN.value, 10.0, "%", doubted=doubted))
 
 
-@pytest.mark.parametrize("given", [assumed, priors])
 @pytest.mark.parametrize(
-    ("error", "verdict"),
+    ("given", "error", "verdict"),
     [
-        (0.05, "identified"),
-        (0.09, "identified"),
-        (0.098, "conditional"),
-        (0.3, "conditional"),
-        (2.0, "conditional"),
+        (assumed, 0.05, "identified"),
+        (assumed, 0.096, "identified"),
+        (assumed, 0.098, "conditional"),
+        (assumed, 2.0, "conditional"),
+        (priors, 0.028, "identified"),
+        (priors, 0.030, "conditional"),
+        (priors, 2.0, "conditional"),
     ],
 )
 def test_a_number_that_somebody_gave_must_be_half_as_good_as_he_says(
-    given, error: float, verdict: str
+    given: Callable[[float], Term], error: float, verdict: str
 ) -> None:
-    """With noise of 0.05, twice 0.0968 is the 0.2 of a value that is determined."""
+    """With noise of 0.05, twice 0.0968 is the 0.2 of a value that is determined.
+
+    By twice the error of another unknown's prior it moves by its whole sd, where that error is 0.0289.
+    """
     assert np.hypot(0.05, DOUBT * 0.0968) == pytest.approx(0.2, rel=1e-3)
+    assert np.hypot(0.05, 0.0289) == pytest.approx(DOUBT * 0.0289, rel=1e-3)
     result = mass(evidence(0.05, given(error)))
     assert result.verdict == verdict
     name = {assumed: "the gain of servo, 4", priors: "your prior of friction, 0.6"}[given]
     assert result.given == (name if verdict == "conditional" else "")
     assert mass(evidence(0.21, given(error))).verdict in ("weak", "prior"), "the logs do not determine it"
+
+
+@pytest.mark.parametrize("wide", [0.5, 1.0, 4.0])
+def test_a_ratio_is_not_identified_by_an_own_prior_that_is_wide(wide: float) -> None:
+    """The logs show friction over gain to 1 %, and the gain is known to 10 %; or they show both to 1 %."""
+    space = ParameterSpace(
+        tuple(Parameter(n, "-", 1.0, 1e-3, 1e3, True, sd) for n, sd in zip("fg", (wide, 0.1), strict=True))
+    )
+    sources = tuple(Source(f"your prior of {n}", "1", parameter=n) for n in "fg")
+    for rows, expected in (
+        ([[1.0, -1.0]], ("conditional", "your prior of g, 1")),
+        ([[1.0, -1.0], [0.0, 1.0]], ("identified", "")),
+    ):
+        slopes = np.array(rows) * space.prior_sd / 0.01
+        inverse = np.linalg.inv(np.eye(2) + slopes.T @ slopes)
+        noise = term_of("noise", inverse @ slopes.T @ slopes @ inverse)
+        known = Ledger((noise, Term("prior", np.array(inverse, dtype=np.float64), sources)))
+        found = Evidence(np.zeros(2), known, np.ones(2, dtype=bool), {}, (), {}, None, np.zeros(2))
+        friction = verdicts(space, found)[0]
+        assert (friction.verdict, friction.given) == expected
 
 
 def test_the_number_that_matters_most_is_named() -> None:
