@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @command(
-    "What is wrong with a model, and what will a log tell?",
+    "What is wrong with a model, and what will a log show?",
     argument("model", MODEL),
     argument("logs", LOG, nargs=-1, callback=episodes, metavar="[LOG]..."),
     options.where,

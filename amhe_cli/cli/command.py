@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 #: The panel of options that every command has, which help names in one line.
 COMMON = "Common"
 #: Names that an option had once.
-FORMER = {"--for": "--seconds", "--duration": "--seconds", "--page": "--out", "--save": "--out"}
+FORMER = {"--for": "--seconds", "--duration": "--seconds", "--save": "--out"}
 
 
 class Option(click.Option):

@@ -63,7 +63,7 @@ def _on_table(tables: Mapping[str, Connection], signal: Signal) -> Signal:
         if not found and (quantity in signal.columns or quantity not in DERIVED):
             raise LogError(
                 f"signal {signal.name!r} names no columns of its {quantity}; there is: {', '.join(columns)}; "
-                f"add to it, for instance, columns: {{{quantity}: [{next(iter(columns))}]}}"
+                f"add to it, for instance, columns: {{{quantity}: [{list(columns)[-1]}]}}"
             )
         if found:
             fields[quantity] = found

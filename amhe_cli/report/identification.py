@@ -38,7 +38,7 @@ from amhe_cli.report.identification_page import (
     next_steps,
 )
 from amhe_cli.report.missing import missing_record, print_missing, print_repairs, repairs_record
-from amhe_cli.report.parameters import parted
+from amhe_cli.report.parameters import parted, reason_texts
 from amhe_cli.report.tables import NUMBER, Table, rich_table
 from amhe_cli.system.description.folders import FILE_NAME
 from amhe_cli.system.export.mjcf import identified_assets, identified_xml
@@ -240,7 +240,7 @@ def _first_reasons(result: Identification) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     for p in result.lines:
         if p.reasons and (p.verdict != "identified" or p.reasons[0].kind == "bound"):
-            found.setdefault(p.reasons[0].text, []).append(p.name)
+            found.setdefault(reason_texts(p)[0], []).append(p.name)
     return found
 
 

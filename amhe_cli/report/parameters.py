@@ -180,20 +180,24 @@ def merged(reasons: Iterable[tuple[str, str]]) -> list[Shared]:
 
 def common_reasons(parameters: Sequence[ParameterResult]) -> list[Shared]:
     """The reasons that `MANY` parameters have, the most frequent first."""
-    found = merged((p.name, reason) for p in parameters for reason in _texts(p))
+    found = merged((p.name, reason) for p in parameters for reason in reason_texts(p))
     return sorted((one for one in found if len(one.names) >= MANY), key=lambda one: -len(one.names))
 
 
 def own_reasons(parameter: ParameterResult, common: Sequence[Shared]) -> tuple[list[str], list[int]]:
     """The reasons that only a parameter has, and the places, from 1, of those that it shares."""
     places = {one.pattern: place for place, one in enumerate(common, 1)}
-    texts = _texts(parameter)
+    texts = reason_texts(parameter)
     alone = [text for text in texts if _pattern(text) not in places]
     return alone, sorted(places[_pattern(text)] for text in texts if text not in alone)
 
 
-def _texts(parameter: ParameterResult) -> list[str]:
-    return [reason.text for reason in parameter.reasons]
+def reason_texts(parameter: ParameterResult) -> list[str]:
+    """The reasons in words; what a conditional value rests on comes first, however small its share."""
+    texts, given = [reason.text for reason in parameter.reasons], parameter.given
+    if given and not any(given in text for text in texts):
+        texts.append(f"given {given}")
+    return sorted(texts, key=lambda text: given not in text)
 
 
 def _pattern(reason: str) -> str:

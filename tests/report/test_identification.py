@@ -35,7 +35,7 @@ from amhe_cli.report.identification import (
     write_identification,
 )
 from amhe_cli.report.identification_page import ALONE, Beside, identification_page, next_steps, statements
-from amhe_cli.report.parameters import parted
+from amhe_cli.report.parameters import parted, reason_texts
 from amhe_cli.system.system import System
 from tests.report.synthetic import fit, identification, parameter
 from tests.view.browser import Browser
@@ -287,6 +287,14 @@ def test_a_reason_of_many_parameters_is_said_once() -> None:
         "damping (22 %), friction_loss (11 %)" in html
     )
     assert html.count("reason 1 below") == 3 and "it is alone" in html
+
+
+def test_a_conditional_value_names_what_it_rests_on_however_small_its_share() -> None:
+    repeats = Reason("repeats", (), 0.9, "residuals repeat")
+    found = replace(parameter(0), verdict="conditional", given="the base's tilt", reasons=(repeats,))
+    assert reason_texts(found) == ["given the base's tilt", "residuals repeat"]
+    named = replace(repeats, text="given the base's tilt: that leaves 3 % open")
+    assert reason_texts(replace(found, reasons=(repeats, named)))[0] == named.text
 
 
 def test_distance_from_a_value_near_zero_is_in_prior_sd() -> None:

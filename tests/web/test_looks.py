@@ -177,7 +177,7 @@ KINDS: dict[str, Maker] = {
     "check": of_commands(
         "model.html log.html",
         "check example:arm -o OUT/model.html",
-        "check example:arm_torque example:arm_torque --page OUT/log.html",
+        "check example:arm_torque example:arm_torque -o OUT/log.html",
     ),
     "explain": of_commands(
         "causes.html",
