@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from amhe_cli.core.belief import gaussian_of
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.open import open_engine
-from amhe_cli.estimation.core.result import AtHorizon
+from amhe_cli.estimation.core.result import AtHorizon, Iteration
 from amhe_cli.estimation.offline.clips import split_held_out, whole
 from amhe_cli.estimation.validation.prediction import (
     HORIZONS,
@@ -120,12 +121,8 @@ def compare(
     """
     begun, say = time.monotonic(), progress or (lambda text: None)
     seed, threads = checked(seed, threads, times={"max_time": max_time})
-    if len(systems) < 2:
-        raise ConfigError("`systems`: give two or more")
     unseen = held_out or logs
-    for argument, given in (("logs", logs), ("held_out", unseen)):
-        if [len(own) for own in given] != [len(given[0])] * len(systems) or not given[0]:
-            raise ConfigError(f"`{argument}`: give the same logs for each of the {len(systems)} systems")
+    _refuse_unequal(systems, logs, unseen)
     names = _names(systems)
     clips = systems[0].settings.clips
     parts = [whole(log) for log in unseen[0]] if held_out else split_held_out(logs[0], clips)[1]
@@ -133,19 +130,12 @@ def compare(
         raise LogError("`logs`: no part is held out (too short, or `clips.held_out` is 0); give `held_out`")
     alike = [replace(one, settings=one.settings.model_copy(update={"clips": clips})) for one in systems]
     share = None if max_time is None else 0.9 * max_time / len(systems)
+    how = {"seed": seed, "threads": threads, "engine": engine, "max_time": share}
     results, warnings = [], []
-    for i, (name, system) in enumerate(zip(names, alike, strict=True)):
-
-        def show(iteration: Any, total: int, name: str = name) -> None:
-            say(f"{name}: {iteration.told(total)}")
-
+    for name, system, own, held in zip(names, alike, logs, held_out or [None] * len(names), strict=True):
         with collected_warnings(of=name) as texts:
-            results.append(
-                identify(
-                    system, logs[i], held_out=unseen[i] if held_out else None, seed=seed, threads=threads,
-                    engine=engine, max_time=share, progress=show,
-                )
-            )  # fmt: skip
+            show = partial(_show, say, name)
+            results.append(identify(system, own, held_out=held, progress=show, **how))
         warnings += texts
     say("held-out clips")
     found = scored(alike, results, unseen, parts, seed, threads, engine)
@@ -160,6 +150,25 @@ def compare(
         seconds=time.monotonic() - begun,
         warnings=tuple(warnings),
     )
+
+
+def _show(say: Callable[[str], None], name: str, iteration: Iteration, total: int) -> None:
+    say(f"{name}: {iteration.told(total)}")
+
+
+def _refuse_unequal(
+    systems: Sequence[System], logs: Sequence[Sequence[Log]], held_out: Sequence[Sequence[Log]]
+) -> None:
+    """Refuse what is no comparison.
+
+    Raises:
+        ConfigError: There are fewer than two systems, or their logs differ in number.
+    """
+    if len(systems) < 2:
+        raise ConfigError("`systems`: give two or more")
+    for argument, given in (("logs", logs), ("held_out", held_out)):
+        if [len(own) for own in given] != [len(given[0])] * len(systems) or not given[0]:
+            raise ConfigError(f"`{argument}`: give the same logs for each of the {len(systems)} systems")
 
 
 def _verdicts(

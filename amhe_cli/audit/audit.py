@@ -44,8 +44,10 @@ from amhe_cli.core.yaml_file import merged
 from amhe_cli.estimation.conclude import Search
 from amhe_cli.estimation.core.result import Against, Identification, Iteration, ParameterResult
 from amhe_cli.estimation.identification import IdentifyOptions, concluded, searched_for
-from amhe_cli.estimation.offline.search import SearchState
+from amhe_cli.estimation.offline.problem import Ends
+from amhe_cli.estimation.uncertainty.misfit import stalled
 from amhe_cli.init.folder import Proposal
+from amhe_cli.matching.cost import Noise
 from amhe_cli.system.system import System
 
 #: Clips of the searches where motions are matched, and their length [s]: many short ones, along which even
@@ -57,6 +59,8 @@ _LOOK = 4
 _SLOW = 5
 #: What is far off is found with a step [posterior sd] that is worth less than a sheet's odds.
 _WORTH = float(np.sqrt(2.0 * ODDS))
+#: Another explanation ends with a step [posterior sd] that changes its odds by half a unit.
+_NEAR = 1.0
 #: Correlation from which two numbers are known only together.
 _TOGETHER = 0.7
 
@@ -152,41 +156,25 @@ def audit(
     claims = claims_of(proposal, _assumed(settings))
     if not claims:
         raise ConfigError("the model says no number of a joint that the log measures")
-    doubts, logs = doubts_of(proposal), tuple[Log, ...]()
+    logs = list[Log]()
 
     def searched(
-        clips: int | None, length: float | None, rough: bool, wide: Collection[Group], near: Search | None
-    ) -> Search:
-        nonlocal logs
+        clips: int | None, length: float | None, enough: float | None,
+        wide: Collection[Group], near: Search | None, noise: Noise | None = None, ends: Ends = stalled,
+    ) -> Search:  # fmt: skip
         guesses = [claim.guess(claim.group not in wide) for claim in claims]
         short = {"clips": {"length": [length, length]}} if length else {}
-        system = replace(proposal, parameters=[*guesses, *doubts]).system(name, merged(settings, short))
-        logs = logs or tuple(read(system))
-        enough = _WORTH if rough else None
+        parameters = [*guesses, *doubts_of(proposal)]
+        system = replace(proposal, parameters=parameters).system(name, merged(settings, short))
+        logs[:] = logs or read(system)
+        enough = _NEAR if noise else enough
         return searched_for(
-            system, logs, None, options, progress, quick=True, near=near, clips=clips, enough=enough
-        )
+            system, logs, None, options, progress, quick=True, near=near, clips=clips, enough=enough,
+            noise=noise, ends=ends,
+        )  # fmt: skip
 
-    # rollouts of all clips take their time, and data sheets are held against what some of them say
-    search, wrong, again = None, frozenset[Group](), partial(searched, None, None, False)
-    seen = list[Explanation]()
-    for clips, length in ((None, None),) if proposal.match == "effort" else _CLIPS:
-        if search is not None and search.watch.interrupted:
-            break
-        again, seen = partial(searched, clips, length, length is not None), []
-        try:
-            search, wrong = without_suspects(again, claims, wrong, search, seen=seen)
-        except KeyboardInterrupt:
-            if search is None:
-                raise
-            search.watch.interrupted = True  # what the search before this one found is reported
-        except EstimationError:
-            if length is None:
-                raise
-            again, seen = partial(searched, _SLOW, None, True), []
-            search, wrong = without_suspects(again, claims, wrong, search, seen=seen)
-    assert search is not None
-    look = again if proposal.match == "effort" else partial(searched, _LOOK, None, False)
+    search, wrong, again, seen = _searched(searched, claims, proposal.match)
+    look = again if proposal.match == "effort" else partial(searched, _LOOK, None, None)
     first = Explanation(search, wrong, claims)
     try:
         first = first.further()
@@ -196,6 +184,34 @@ def audit(
     system = at.search.problem.system
     lines = _lines(system, found, claims, judgement, logs)
     return Audit(tuple(lines), system, found, tuple(claims), proposal)
+
+
+def _searched(
+    searched: Callable[..., Search], claims: Sequence[Claim], match: str
+) -> tuple[Search, frozenset[Group], Searched, list[Explanation]]:
+    """The first explanation: its search, its wrong sheets, how it searched, and what was seen on the way.
+
+    Rollouts of all clips take their time, and data sheets are held against what some of them say.
+    """
+    search, wrong, again = None, frozenset[Group](), partial(searched, None, None, None)
+    seen = list[Explanation]()
+    for clips, length in ((None, None),) if match == "effort" else _CLIPS:
+        if search is not None and search.watch.interrupted:
+            break
+        again, seen = partial(searched, clips, length, _WORTH if length else None), []
+        try:
+            search, wrong = without_suspects(again, claims, wrong, search, seen=seen)
+        except KeyboardInterrupt:
+            if search is None:
+                raise
+            search.watch.interrupted = True  # what the search before this one found is reported
+        except EstimationError:
+            if length is None:
+                raise
+            again, seen = partial(searched, _SLOW, None, _WORTH), []
+            search, wrong = without_suspects(again, claims, wrong, search, seen=seen)
+    assert search is not None
+    return search, wrong, again, seen
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -234,8 +250,8 @@ def _concluded(
             group = max(left, key=left.__getitem__)  # the first that something else may explain
             tested.add(group)
             wider = _wider(found)
-            search, other = first.rival(searched, looked, group, wider)
-            if isinstance(search.finding, SearchState) and search.finding.settled:
+            other, ended = first.rival(searched, looked, group, wider)
+            if ended:
                 decided.add(group)  # a search that has not ended excludes nothing
             if other is not None and other.against(first, wider) > 0.0:
                 others += [first, other]  # what is wrong beside it was looked for with one sheet barred
@@ -262,18 +278,18 @@ def _judgement(
     evidence = findings_of(space, at, found.unbounded, found.information, found.belief.covariance)
     wider, tests = _wider(found), []
     odds = _once({first: 0.0} | {one: one.odds(first, wider) for one in others})
-    evidence = evidence.under_noise(wider).unsure(first.to_go[0])
+    evidence = evidence.under_noise(wider)  # its ledger has the step that is left
     for one in odds:
         findings = evidence if one is first else one.evidence.under_noise(wider).unsure(one.to_go[0])
         system = one.search.problem.system
-        sheets, rows = sheets_of(findings, system, one.claims), rows_of(system, one.claims)
+        sheets, rows = sheets_of(system, one.claims), rows_of(system, one.claims)
         sets = wrong_sheets(findings, sheets, one.wrong)
         sets = {some: likely for some, likely in sets.items() if not (some ^ one.wrong) & decided}
         tests.append(judged(findings, sheets, sets, rows, system.space.log[rows]))
     share = np.exp(np.array([*odds.values()]) - max(odds.values()))
     chance = share @ np.array([each for _, each in tests]) / share.sum()
     system = first.search.problem.system
-    sheets, rows = sheets_of(evidence, system, first.claims), rows_of(system, first.claims)
+    sheets, rows = sheets_of(system, first.claims), rows_of(system, first.claims)
     least = np.broadcast_to(sheets.least, sheets.file.shape)[rows]
     file, right, log = sheets.file[rows], sheets.right[rows], space.log[rows]
     free = said(evidence.with_priors(sheets.sd(sheets.groups)), rows, file, right, log, least)

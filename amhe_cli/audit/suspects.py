@@ -11,7 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Protocol
 
 import numpy as np
 
@@ -23,10 +24,11 @@ from amhe_cli.estimation.conclude import Search
 from amhe_cli.estimation.core.information import clip_objectives
 from amhe_cli.estimation.identification import ended
 from amhe_cli.estimation.offline.clips import places
-from amhe_cli.estimation.offline.problem import Problem
-from amhe_cli.estimation.offline.search import SearchState
+from amhe_cli.estimation.offline.problem import Ends, Problem
+from amhe_cli.estimation.offline.search import SearchState, total
 from amhe_cli.estimation.uncertainty.fit import FinalFit, scored
-from amhe_cli.estimation.uncertainty.misfit import still_moving, unexplained
+from amhe_cli.estimation.uncertainty.misfit import stalled, still_moving, unexplained
+from amhe_cli.matching.cost import Noise
 from amhe_cli.system.system import System
 
 #: Searches until no more number stands out, at most.
@@ -39,8 +41,19 @@ _MORE = 3
 #: Logarithm of the odds of an explanation below which it changes no verdict.
 HOPELESS = -10.0
 
-#: A search with some data sheets left open, from where another one ended.
-Searched = Callable[[Collection[Group], Search | None], Search]
+
+class Searched(Protocol):
+    """A search with some data sheets left open, from where another one ended."""
+
+    def __call__(
+        self,
+        wide: Collection[Group],
+        near: Search | None,
+        noise: Noise | None = None,
+        ends: Ends = stalled,
+    ) -> Search:
+        """`noise`, `ends`: as of `Problem`."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +107,7 @@ class Explanation:
         """Where its search goes on until it has ended, or explains enough; a few times as long at most."""
         one = self
         for _ in range(_MORE):
-            search = one.search if enough(one) else _ended(ended(one.search))
+            search = one.search if over(one.search) or enough(one) else _ended(ended(one.search))
             if search is one.search:
                 break
             one = replace(one, search=search)
@@ -107,7 +120,7 @@ class Explanation:
     @cached_property
     def sheets(self) -> Sheets[Group]:
         """The data sheets."""
-        return sheets_of(self.evidence, self.search.problem.system, self.claims)
+        return sheets_of(self.search.problem.system, self.claims)
 
     def against(self, first: Explanation, wider: float = 1.0, least: bool = False) -> float:
         """Logarithm of the odds to the first explanation, by Laplace's approximation of their evidence.
@@ -130,8 +143,8 @@ class Explanation:
 
     def rival(
         self, searched: Searched, looked: Searched, right: Group, wider: float
-    ) -> tuple[Search, Explanation | None]:
-        """What else explains the logs if one sheet is right, and the search that says so; None: nothing.
+    ) -> tuple[Explanation | None, bool]:
+        """What else explains the logs if one sheet is right, or None; whether the search for it has ended.
 
         `looked` searches few of the clips; `wider`: see `against`.
         """
@@ -140,21 +153,57 @@ class Explanation:
         space = self.search.problem.system.space
         at[rows] = ((self.sheets.file - space.phi_of(space.nominal)) / space.prior_sd)[rows]
         near = replace(self.search, finding=replace(self.search.finding, z=space.clip(at), straight=False))
-        free = frozenset(self.sheets.groups) - believed
-        other = Explanation(_ended(looked(free, near)), free, self.claims)
+        free, noise = frozenset(self.sheets.groups) - believed, noise_of(self.search.fit, wider)
+        other = Explanation(
+            _ended(looked(free, near, noise, self._excludes(free, wider, True))), free, self.claims
+        )
         other = other.further(lambda one: not one.hopeless(self, wider))
         if other.hopeless(self, wider):
-            return other.search, None
+            return None, over(other.search)
         few = next(iter(wrong_sheets(other.evidence, other.sheets, right=believed)))
-        search, wrong = without_suspects(searched, self.claims, few, other.search, believed)
+        ends = self._excludes(few, wider, False)
+        search, wrong = without_suspects(
+            partial(searched, noise=noise, ends=ends), self.claims, few, other.search, believed
+        )
         other = Explanation(_ended(search), wrong, self.claims)
         other = other.further(lambda one: one.against(self, wider) > 0.0)
-        return other.search, other
+        return other, over(other.search)
+
+    def _excludes(self, wrong: frozenset[Group], wider: float, least: bool) -> Ends:
+        """Whether a search stalls, or stays hopeless if each step gains as much as the last.
+
+        Arguments as of `against`.
+        """
+        before = list[float]()
+
+        def ends(problem: Problem, state: SearchState) -> bool:
+            if state.first is None:
+                return False  # it has not seen all clips
+            one = Explanation(replace(self.search, problem=problem, finding=state), wrong, self.claims)
+            before.append(one.against(self, wider, least=least))
+            left = (1 + _MORE) * problem.settings.identify.iterations - len(state.record)
+            gained = before[-1] - before[-2] if len(before) > 1 else np.inf
+            return stalled(problem, state) or before[-1] + left * max(gained, 0.0) < HOPELESS
+
+        return ends
 
     def widened(self, searched: Searched, seen: list[Explanation]) -> Explanation:
         """The explanation from here, with any sheet open; `seen`: gets what else was searched on the way."""
         search, wrong = without_suspects(searched, self.claims, self.wrong, self.search, seen=seen)
         return Explanation(_ended(search), wrong, self.claims).further()
+
+
+def noise_of(fit: FinalFit, wider: float) -> Noise:
+    """What a fit has left, of an sd larger by a factor: other explanations are searched for under it."""
+    keys = [observed.channel.key for observed in fit.slopes.cost.clips.observed]
+    scale = {key: wider * fit.finding.scale.get(key, 1.0) for key in keys}
+    return Noise(scale, dict(zip(keys, fit.times, strict=True)))
+
+
+def over(search: Search) -> bool:
+    """Whether a search has ended, and not only used up its iterations."""
+    at = search.finding
+    return not isinstance(at, SearchState) or at.settled or at.number < total(search.problem, at)
 
 
 def _misfit(fit: FinalFit, of: Search, few: Problem | None) -> float:
@@ -163,11 +212,12 @@ def _misfit(fit: FinalFit, of: Search, few: Problem | None) -> float:
     `few`: a problem with the clips that count, in place of the fit's own. First states are those of the
     search where it has fitted the same clips.
     """
-    problem, own = few or fit.problem, of.fit
+    problem, own, began = few or fit.problem, of.problem, getattr(of.finding, "first", None)
     space, weight = problem.system.space, np.ones(len(problem.clips)) if few else fit.weight
-    cost, z = problem.cost(problem.clips, fit.finding.scale), space.z_of(own.space.theta_of(own.z))
-    if places(own.problem.clips) == places(problem.clips):
-        first = own.information.first(np.zeros((1, len(z))))
+    cost = problem.cost(problem.clips, fit.finding.scale)
+    z = space.z_of(own.system.space.theta_of(of.finding.z))
+    if began is not None and places(own.clips) == places(problem.clips):
+        first = began.mean[None]
         residuals = cost.residuals(z[None], first if first.shape[2] else None)
         each = clip_objectives(cost, residuals, first, fit.times)[0]
     else:
@@ -207,7 +257,7 @@ def without_suspects(
     try:
         for _ in range(0 if search.watch.interrupted else _ROUNDS):
             evidence, begin = sketched(search), search
-            sheets = sheets_of(evidence, search.problem.system, claims)
+            sheets = sheets_of(search.problem.system, claims)
             sets = wrong_sheets(evidence, sheets, wrong, right)
             if _straight(search):
                 likely = next(iter(sets)) - refused - aside
@@ -238,9 +288,9 @@ def without_suspects(
     return search, wrong
 
 
-def sheets_of(evidence: Findings, system: System, claims: Sequence[Claim]) -> Sheets[Group]:
+def sheets_of(system: System, claims: Sequence[Claim]) -> Sheets[Group]:
     """The data sheets of the file; what it does not say is known by its prior."""
-    file, right = np.array(evidence.prior)
+    file, right = system.space.phi_of(system.space.nominal), np.array(system.space.prior_sd)
     wide, least, groups = right.copy(), np.full(len(right), -np.inf), dict[Group, list[int]]()
     for row, claim in zip(rows_of(system, claims), claims, strict=True):
         file[row], right[row], wide[row] = claim.phi(claim.value), claim.sd, claim.wide

@@ -166,9 +166,9 @@ def _print(session: Session, lines: Any, record: dict[str, object], found: Audit
 
     if session.gave(record | audit_record(lines, found)):
         return
-    console, told = session.console(), [one for one in lines if one.verdict != "cannot tell"]
-    if told:
-        console.print(rich_table(audit_table(told), STYLES))
+    console, judged = session.console(), [one for one in lines if one.verdict != "cannot tell"]
+    if judged:
+        console.print(rich_table(audit_table(judged), STYLES))
         console.print()
     if beside := [one for one in found.beside if one.verdict != "prior"] if found else []:
         console.print(rich_table(beside_table(beside), KNOWN))

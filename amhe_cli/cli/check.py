@@ -70,9 +70,9 @@ def check(session: Session, given: Given) -> int | None:
     found = worst_first(found)
     session.warnings += [f"{one.where}: {one.what}" for one in found]
     facts = (f"{total_mass(made):.4g} kg", f"joints: {made.njnt}", f"actuators: {made.nu}")
-    told = {} if hope is None else expected_record(hope, moved, missed)
+    outlook = {} if hope is None else expected_record(hope, moved, missed)
     listed = [asdict(one) for one in found]
-    record = session.record(model=str(path), mass=total_mass(made), findings=listed, **told)
+    record = session.record(model=str(path), mass=total_mass(made), findings=listed, **outlook)
     if not session.gave(record):
         console = session.console()
         console.print(f"{path.name}: {', '.join(facts)}")

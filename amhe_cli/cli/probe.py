@@ -17,6 +17,13 @@ if TYPE_CHECKING:
     from amhe_cli.estimation.design.probe import Probe, ProbeOptions, Say
 
 
+#: Options of a `ProbeOptions`.
+_CHOSEN = (
+    "task", "seconds", "belief", "belief_anyway", "fix", "only", "plant", "box", "recipe", "seed", "threads",
+    "engine",
+)  # fmt: skip
+
+
 def _recipe(name: str, about: str) -> Any:
     return flag(f"recipe --{name}", about, flag_value=name, default=None, panel="Commands for your own robot")
 
@@ -75,21 +82,16 @@ def probe(session: Session, given: Given) -> None:
     from amhe_cli.estimation.design.playback import log_name
     from amhe_cli.estimation.design.probe import ActuatorProbe, ProbeOptions
     from amhe_cli.report.check import said_before
-    from amhe_cli.report.probe import print_achieved, print_plan
+    from amhe_cli.report.probe import print_achieved, print_plan, write_probe_page
     from amhe_cli.robots.go1.probing.probe import Go1OnLink, open_probe, robot_to_probe
-    from amhe_cli.system.description.folders import bundled_systems, find_system
+    from amhe_cli.system.description.folders import find_system
     from amhe_cli.system.provenance import provenance
 
-    system, target, belief, dry_run = given.system, given.target, given.belief, given.dry_run
+    system, target, dry_run = given.system, given.target, given.dry_run
     folder = given.reserve()
     settings, schema = given.overrides.suited(find_system(system or "go1_push"))
-    how = given.pick(
-        "task", "seconds", "belief", "belief_anyway", "fix", "only", "plant", "box", "recipe", "seed",
-        "threads", "engine",
-    )  # fmt: skip
-    chosen = ProbeOptions(system, settings=settings, schema=schema, **how)
-    link: dict[str, Any] = {}
-    reached = at_the_robot.wire_of(target, given)
+    chosen = ProbeOptions(system, settings=settings, schema=schema, **given.pick(*_CHOSEN))
+    link, reached = dict[str, Any](), at_the_robot.wire_of(target, given)
     robot = Go1OnLink(reached, at_the_robot.attendant(session, link)) if reached else None
     if robot and dry_run:
         return at_the_robot.dry_run(session, robot_to_probe(chosen, robot))
@@ -98,7 +100,7 @@ def probe(session: Session, given: Given) -> None:
     findings = said_before(opened.system, (), None if session.json else session.console())
     say = click.get_current_context().with_resource(progress(session, "probe", of_words))
     plan = opened.design(say)
-    inputs = [Path(path) for path in (belief, given.plant) if path and Path(path).is_file()]
+    inputs = [Path(path) for path in (given.belief, given.plant) if path and Path(path).is_file()]
     about = {
         "system": opened.system.name, "task": opened.task, "target": target, "seed": given.seed,
         "out": str(folder),
@@ -119,16 +121,20 @@ def probe(session: Session, given: Given) -> None:
             (scratch / "result.json").write_text(json_text(record), encoding="utf-8")
     recorded = not dry_run and (folder / log).exists()
     if recorded:
-        from amhe_cli.report.probe import write_probe_page
-
         write_probe_page(folder, log, opened.system, record)
     if not session.gave(record) and recorded:
-        own = "" if opened.system.folder in bundled_systems().values() else f" --system {system}"
-        own += " --unknowns robot" if opened.task == "walk" else ""
-        print_achieved(record, f"amhe identify {folder / log}{own}", folder, session.console())
+        print_achieved(record, _to_identify(folder / log, opened, system), folder, session.console())
     session.failed = at_the_robot.is_trip(error)
     if error and not session.failed:
         raise error
+
+
+def _to_identify(log: Path, probe: Probe, system: str | None) -> str:
+    """The command that identifies what was recorded."""
+    from amhe_cli.system.description.folders import bundled_systems
+
+    own = "" if probe.system.folder in bundled_systems().values() else f" --system {system}"
+    return f"amhe identify {log}{own}{' --unknowns robot' if probe.task == 'walk' else ''}"
 
 
 def _played(

@@ -30,11 +30,12 @@ from amhe_cli.estimation.offline.clips import (
     whole,
 )
 from amhe_cli.estimation.offline.cma import CmaState
-from amhe_cli.estimation.offline.problem import Problem
+from amhe_cli.estimation.offline.problem import Ends, Problem
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.offline.watch import OnIteration, Watch
 from amhe_cli.estimation.uncertainty.fit import Finding
 from amhe_cli.estimation.uncertainty.misfit import still_moving
+from amhe_cli.matching.cost import Noise
 from amhe_cli.matching.motion import velocity_lag
 from amhe_cli.system.parameters.inertia import inertia_of
 from amhe_cli.system.system import System
@@ -113,6 +114,8 @@ def searched_for(
     near: Search | None = None,
     clips: int | None = None,
     enough: float | None = None,
+    noise: Noise | None = None,
+    ends: Ends | None = None,
 ) -> Search:
     """The search of `identify`, whose arguments it takes, without the conclusion.
 
@@ -120,7 +123,7 @@ def searched_for(
 
     `quick`: one of many: do not say how long it takes, nor which parameters the logs do not depend on.
     `near`: begin where a search for the same parameters under other priors has ended, and not at the prior's
-    mean. `clips`: fit, and hold out, only so many. `enough`: end with a step of so many posterior sd.
+    mean. `clips`: fit, and hold out, only so many. `enough`, `noise`, `ends`: as of `Problem`.
     """
     if options.method not in METHODS:
         raise ConfigError(f"`method`: {one_of('method', options.method, METHODS)}")
@@ -132,10 +135,10 @@ def searched_for(
     limit = math.inf if quick and options.max_time is None else options.max_time
     watch = Watch(on_iteration, limit, PARTS)
     problem, validation = _pose(system, training, held_out, options)
-    problem = replace(problem, enough=enough, like=near and near.problem)
+    problem = replace(problem, enough=enough, noise=noise, ends=ends, like=near and near.problem)
     if clips is not None:
-        some = tuple(evenly(problem.usable, clips))
-        problem = replace(problem, only=some, others=len(problem.usable) - len(some))
+        every = tuple(problem.usable)
+        problem = replace(problem, only=tuple(evenly(every, clips)), beside=every)
         validation = evenly(validation, clips)
     kept = Checkpoint(options.checkpoint, problem, options.method)
     kept.load()  # one of another problem is refused before any work
@@ -162,7 +165,7 @@ def ended(stopped: Search) -> Search:
     """Continue a search for as many iterations again at most; one that has ended, or has no time, stays."""
     begin = stopped.finding
     if isinstance(begin, SearchState) and not stopped.watch.cut_short and still_moving(stopped.fit):
-        begin = replace(begin, stage="polish", number=search.ROUGHLY)  # with all clips
+        begin = replace(begin, stage="polish", number=search.ROUGHLY)  # with all clips, and other draws
         before, unsaved = len(begin.record) - begin.number, Checkpoint(None, stopped.problem, METHODS[0])
         finding = _run(
             search.advance,
@@ -303,6 +306,8 @@ def _run(
     try:
         while not state.done and not watch.stopped:
             state = advance(problem, state)
+            if isinstance(state, SearchState) and problem.ends and problem.ends(problem, state):
+                state = replace(state, stage="done")
             kept.save(state)
             watch.saw(state.record[-1], total(problem, state))
     except KeyboardInterrupt:

@@ -74,6 +74,14 @@ class RolledOut:
     rollouts: Rollouts
 
 
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """What is taken for noise: channel -> factor on its declared sd, and autocorrelation time in samples."""
+
+    scale: Mapping[str, float]
+    times: Mapping[str, float]
+
+
 class MatchingCost:
     """How well candidate parameters explain a fixed set of clips.
 
@@ -95,6 +103,7 @@ class MatchingCost:
     ) -> None:
         self.system, self.engine, self.settings = system, engine, settings
         self.noise_scale = noise_scale or {}
+        self.times: Mapping[str, float] | None = None  # those that residuals show
         self.clips: Clips = prepare(system, windows, self.noise_scale, settings.smoothing)
         self._alike = _alike([window.log for window in windows])
         self._wanted = [observed.wanted for observed in self.clips.observed]
@@ -107,6 +116,12 @@ class MatchingCost:
         ]
         observed = (replace(o, noise=r * o.noise) for o, r in zip(self.clips.observed, ratios, strict=True))
         other.noise_scale, other.clips = noise_scale, replace(self.clips, observed=tuple(observed))
+        return other
+
+    def under(self, noise: Noise) -> MatchingCost:
+        """The same clips under some noise, whatever residuals show."""
+        other = self.scaled(noise.scale)
+        other.times = noise.times
         return other
 
     def upon(self, engine: Engine, system: System | None = None) -> MatchingCost:

@@ -210,7 +210,7 @@ class Searching:
     watch: Any
 
 
-def test_an_interruption_of_a_second_explanation_ends_the_audit() -> None:
+def test_an_interruption_of_a_second_explanation_ends_the_audit(monkeypatch: pytest.MonkeyPatch) -> None:
     """A search ends with what it has; the audit must not go on to the next number."""
     space = SimpleNamespace(
         phi_of=np.asarray, nominal=np.zeros(1), prior_sd=np.ones(1), clip=np.asarray, names=("mass",)
@@ -220,6 +220,8 @@ def test_an_interruption_of_a_second_explanation_ends_the_audit() -> None:
     def searching(interrupted: bool) -> Any:
         return Searching(Found(np.zeros(1)), problem, SimpleNamespace(interrupted=interrupted))
 
+    monkeypatch.setattr(suspects, "noise_of", lambda *_: None)
+    monkeypatch.setattr(Searching, "fit", None, raising=False)
     first = suspects.Explanation(searching(False), frozenset(), [])
     first.__dict__["sheets"] = SimpleNamespace(groups={("arm", "mass"): [0]}, file=np.zeros(1))
     with pytest.raises(KeyboardInterrupt):
@@ -251,8 +253,11 @@ def test_a_search_that_has_not_ended_goes_on_before_it_excludes_anything(
     monkeypatch.setattr(suspects, "wrong_sheets", lambda *_, **__: [frozenset()])
     monkeypatch.setattr(suspects, "without_suspects", lambda *given: (given[3], given[2]))
     monkeypatch.setattr(suspects, "ended", lambda search: went_on.search)
-    search, other = first.rival(lambda *_: stopped.search, lambda *_: stopped.search, ("arm", "mass"), 1.0)
-    assert search is went_on.search
+    monkeypatch.setattr(suspects, "over", lambda search: search is went_on.search)
+    monkeypatch.setattr(suspects, "noise_of", lambda *_: None)
+    monkeypatch.setattr(Searching, "fit", None, raising=False)
+    other, over = first.rival(lambda *_: stopped.search, lambda *_: stopped.search, ("arm", "mass"), 1.0)
+    assert over and (other is None or other.search is went_on.search)
     assert (other is None) == (later < suspects.HOPELESS), "only where it ended shows what it explains"
 
 

@@ -97,7 +97,7 @@ def test_a_model_needs_no_system_folder(pendulum_log: Path, tmp_path: Path) -> N
     assert not out.exists(), "the mistake is mended, and the same folder is not refused"
     assert run(["identify", str(pendulum_log), *model, "-o", str(out), *quiet]) == 0
     assert names(out) == sorted([*FILES, "system"]) and names(out / "system") == ["scene.xml", "system.yaml"]
-    assert run(["view", str(out), "--save", str(tmp_path / "page.html"), "-q"]) == 0
+    assert run(["view", str(out), "--out", str(tmp_path / "page.html"), "-q"]) == 0
     for name, start in (("causes.html", "<!doctype html>"), ("causes.json", "{")):
         assert run(["explain", str(out), "-q", "-o", name]) == 0
         assert Path(name).read_text().startswith(start)

@@ -258,7 +258,7 @@ def test_a_log_chooses_no_model(tmp_path: Path, capsys) -> None:
     log = write_pendulum_log(tmp_path / "log.mcap", 3.0, system="pendulum", overrides=stated)
     assert run(["inspect", str(log), "--system", "pendulum"]) == 0
     capsys.readouterr()
-    assert run(["view", str(log), "--save", str(tmp_path / "page.html")]) == 0
+    assert run(["view", str(log), "--out", str(tmp_path / "page.html")]) == 0
     assert "mine.xml" not in capsys.readouterr().err
 
 

@@ -50,7 +50,7 @@ def test_a_page_of_the_installed_command_opens_and_plays(
 ) -> None:
     page = tmp_path / "page.html"
     subprocess.run(
-        [sys.executable, "-m", "amhe_cli", "view", "example:pendulum", "--save", page],
+        [sys.executable, "-m", "amhe_cli", "view", "example:pendulum", "--out", page],
         cwd=tmp_path,
         env=os.environ | {"PYTHONPATH": str(installed)},
         check=True,

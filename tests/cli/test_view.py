@@ -32,7 +32,7 @@ from tests.conftest import MODELS
 
 def test_a_log_becomes_one_page(pendulum_log: Path, tmp_path: Path, capsys) -> None:
     page = tmp_path / "page.html"
-    assert run(["view", str(pendulum_log), "--save", str(page)]) == 0
+    assert run(["view", str(pendulum_log), "--out", str(page)]) == 0
     assert str(page) in capsys.readouterr().out
     text = page.read_text(encoding="utf-8")
     assert text.startswith("<!doctype html>")
@@ -40,10 +40,10 @@ def test_a_log_becomes_one_page(pendulum_log: Path, tmp_path: Path, capsys) -> N
     (script,) = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
     assert f"script-src '{script_digest(script)}';" in text
     page.write_text("kept")
-    assert run(["view", str(pendulum_log), "--save", str(page)]) == 2
+    assert run(["view", str(pendulum_log), "--out", str(page)]) == 2
     assert "--force" in capsys.readouterr().err
     assert page.read_text() == "kept"
-    assert run(["view", str(pendulum_log), "--save", str(page), "--force"]) == 0
+    assert run(["view", str(pendulum_log), "--out", str(page), "--force"]) == 0
     assert page.read_text(encoding="utf-8") == text
 
 
@@ -63,7 +63,7 @@ def data_of(page: Path) -> dict:
 @pytest.mark.medium
 def test_a_result_shows_both_ghosts_and_its_held_out_clips_first(result: Path, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
-    assert run(["view", str(result), "--save", str(page)]) == 0
+    assert run(["view", str(result), "--out", str(page)]) == 0
     data = data_of(page)
     assert data["candidates"] == ["before", "after"]
     assert all("estimate" in row for row in data["parameters"])
@@ -79,7 +79,7 @@ def test_a_replay_shows_its_estimates_over_time_and_that_of_each_clip_as_a_ghost
 ) -> None:
     out, page = tmp_path / "replay", tmp_path / "page.html"
     assert run(["mhe-replay", str(pendulum_log), "--from", "1", "--to", "4", "-q", "-o", str(out)]) == 0
-    assert run(["view", str(out), "--save", str(page)]) == 0
+    assert run(["view", str(out), "--out", str(page)]) == 0
     record, data = json.loads((out / "result.json").read_text()), data_of(page)
     assert data["candidates"] == ["before", "at that time"]
     late = [take["costs"] for take in data["takes"] if take["start"] > 1.9]
@@ -101,7 +101,7 @@ def test_a_replay_shows_its_estimates_over_time_and_that_of_each_clip_as_a_ghost
         assert (times[0], times[-1]) == pytest.approx((begun, record["end_s"]), abs=0.01)
         assert [end[-1] for end in ends] == pytest.approx([row[k] for k in ("estimate", "lower", "upper")])
     assert (
-        run(["view", str(out), "--belief", str(result / "belief.yaml"), "--save", str(page), "--force"]) == 0
+        run(["view", str(out), "--belief", str(result / "belief.yaml"), "--out", str(page), "--force"]) == 0
     )
     assert data_of(page)["candidates"] == ["before", "after"]
 
@@ -111,7 +111,7 @@ def test_a_run_shows_its_path_its_belief_and_how_it_planned(tmp_path: Path) -> N
     out, page = tmp_path / "t4", tmp_path / "page.html"
     arguments = ["--task", "t4", "--mode", "baseline", "--duration", "0.6", "--threads", "1"]
     run(["run", *arguments, "-q", "-o", str(out)])
-    assert run(["view", str(out), "--save", str(page)]) == 0
+    assert run(["view", str(out), "--out", str(page)]) == 0
     record, data = json.loads((out / "result.json").read_text()), data_of(page)
     curves = {curve["name"]: curve for curve in data["recordings"][0]["curves"]}
     assert {"speed", "cost", "cycle time"} < curves.keys()
@@ -150,7 +150,7 @@ def test_other_results_are_refused(result: Path, tmp_path: Path, change: dict, t
     record = json.loads((result / "result.json").read_text()) | change
     (tmp_path / "result.json").write_text(json.dumps(record))
     (tmp_path / "belief.yaml").write_text((result / "belief.yaml").read_text())
-    assert run(["view", str(tmp_path), "--save", str(tmp_path / "page.html")]) == 2
+    assert run(["view", str(tmp_path), "--out", str(tmp_path / "page.html")]) == 2
     err = [line for line in capsys.readouterr().err.splitlines() if "note: shows" not in line]
     assert text in err[0]
     assert len(err) == 1
@@ -159,7 +159,7 @@ def test_other_results_are_refused(result: Path, tmp_path: Path, change: dict, t
 @pytest.mark.parametrize("content", ["", "[]", '{"command": 3}'])
 def test_a_folder_with_another_result_is_one_line(tmp_path: Path, content: str, capsys) -> None:
     (tmp_path / "result.json").write_text(content)
-    assert run(["view", str(tmp_path), "--save", str(tmp_path / "page.html")]) == 2
+    assert run(["view", str(tmp_path), "--out", str(tmp_path / "page.html")]) == 2
     assert "is no result of this amhe" in capsys.readouterr().err
 
 
@@ -265,7 +265,7 @@ def own_result(pendulum_log: Path, tmp_path_factory: pytest.TempPathFactory) -> 
 
 @pytest.mark.medium
 def test_a_replay_of_an_own_system_needs_no_option_again(own_result: Path, tmp_path: Path, capsys) -> None:
-    assert run(["view", str(own_result / "out"), "--save", str(tmp_path / "page.html")]) == 0
+    assert run(["view", str(own_result / "out"), "--out", str(tmp_path / "page.html")]) == 0
     (note,) = [line for line in capsys.readouterr().err.splitlines() if "note: shows" in line]
     assert "pendulum" in note and str(own_result / "mine") in note
     data = data_of(tmp_path / "page.html")
@@ -284,7 +284,7 @@ def test_paths_of_a_result_are_looked_for_above_it(
     record["inputs"]["system"], record["inputs"]["logs"][0]["path"] = "mine", "log.mcap"
     (work / "out" / "result.json").write_text(json.dumps(record))
     monkeypatch.chdir(tmp_path)
-    assert run(["view", "work/out", "--save", "page.html"]) == 0
+    assert run(["view", "work/out", "--out", "page.html"]) == 0
 
 
 def test_a_system_that_moved_is_one_line_that_names_the_option(
@@ -294,7 +294,7 @@ def test_a_system_that_moved_is_one_line_that_names_the_option(
     shutil.copytree(own_result / "out", tmp_path / "out")
     record = (tmp_path / "out" / "result.json").read_text()
     (tmp_path / "out" / "result.json").write_text(record.replace("/mine", "/gone"))
-    command = ["view", str(tmp_path / "out"), "--save", str(tmp_path / "page.html")]
+    command = ["view", str(tmp_path / "out"), "--out", str(tmp_path / "page.html")]
     assert run(command) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "gone: the system of this result is not there" in line
@@ -308,7 +308,7 @@ def altered(result: Path, to: Path, old: str, new: str) -> list[str]:
     record = (to / "result.json").read_text()
     assert old in record
     (to / "result.json").write_text(record.replace(old, new))
-    return ["view", str(to), "--save", str(to / "page.html")]
+    return ["view", str(to), "--out", str(to / "page.html")]
 
 
 def test_messages_given_now_replace_those_that_are_gone(own_result: Path, tmp_path: Path, capsys) -> None:

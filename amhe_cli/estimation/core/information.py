@@ -129,6 +129,7 @@ def information(
     channels: Sequence[bool] | None = None,
     *,
     straight: bool = False,
+    steps: bool = False,
     repeats: float = 1.0,
 ) -> Information:
     """Information of each clip, its first state fitted along.
@@ -136,7 +137,8 @@ def information(
     Args:
         slopes: The linearised residuals.
         channels: Which channels count, one flag each; None: all.
-        straight: Ignore the nonlinear response, as if the samples had been narrow.
+        straight: Ignore the nonlinear response, as if the samples had been narrow: it shapes samples.
+        steps: It is for steps: curvature and scatter are the matrix, too.
         repeats: Number of clips in which the part of the residuals that repeats within a clip returns.
     """
     cost, mean = slopes.cost, slopes.first.mean
@@ -156,7 +158,7 @@ def information(
     times = channel_times(cost, first.residual, slopes.completed)
     times = tuple(1.0 + repeats * (time - 1.0) for time in times)
     known = fitted(first.residual, times)
-    if straight:  # it shapes samples, and is no posterior
+    if straight or steps:
         return known
     bent = known.weight * _bent(cost, first.residual)
     each = of_residuals(cost, times)
@@ -217,7 +219,7 @@ def _with_jitter(
     pull, runs = _pull(slopes, known), 2.0 + 1.0 / len(slopes.pairs)
     jitter = _jitter(slopes)
     variance = runs * (jitter**2).sum(axis=0)
-    lasts = of_residuals(slopes.cost, channel_times(slopes.cost, jitter, slopes.completed))
+    lasts = of_residuals(slopes.cost, _times(slopes.cost, jitter, slopes.completed))
     counted = np.minimum((times - 1.0) * known.residual**2 + variance, lasts * variance)
     held = (pull * counted[:, None]) @ pull.transpose(0, 2, 1)
     all_of_it = scatter.sum(axis=0)
@@ -324,7 +326,13 @@ def weights(
 
 
 def channel_times(cost: MatchingCost, residual: FloatArray, completed: BoolArray) -> tuple[float, ...]:
-    """Autocorrelation time of each channel's residuals (..., c, R), in samples."""
+    """Autocorrelation time of each channel's residuals (..., c, R), in samples; that of a known noise."""
+    if cost.times is not None:
+        return tuple(cost.times[observed.channel.key] for observed in cost.clips.observed)
+    return _times(cost, residual, completed)
+
+
+def _times(cost: MatchingCost, residual: FloatArray, completed: BoolArray) -> tuple[float, ...]:
     times = []
     for observed, values in zip(cost.clips.observed, split(cost, residual), strict=True):
         rows = np.moveaxis(values[..., completed, :, :], -1, -2)  # (..., c, k, s)

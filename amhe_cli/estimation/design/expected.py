@@ -131,7 +131,7 @@ def _near(problem: Problem) -> tuple[FinalFit, int]:
         # where nothing touches, short steps to one side suffice to come near: half of the rollouts
         state = replace(state, straight=state.straight or (part is few and not problem.touches))
         slopes = search.slopes_at(part, state)
-        info = information(slopes)
+        info = information(slopes, steps=True)
         taken = search.gauss_newton(part, state, slopes, info)
         state = search.stepped(part, state, slopes, info, taken)
         most = search.ROUGHLY if part is few else ITERATIONS

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from amhe_cli.estimation.core.linearise import (
     sampling_width,
 )
 from amhe_cli.estimation.offline.clips import ClipPool, evenly, of_each_kind, places
-from amhe_cli.matching.cost import MatchingCost, Residuals
+from amhe_cli.matching.cost import MatchingCost, Noise, Residuals
 from amhe_cli.matching.starts import first_index
 from amhe_cli.system.parameters.contacts import geom_name, needed_contacts
 from amhe_cli.system.parameters.inertia import inertia_of
@@ -59,6 +60,10 @@ _LOOKS = 400
 _TOUCH = 0.005
 
 
+#: Whether a search may end with its state, a `SearchState`, after an iteration.
+Ends = Callable[["Problem", Any], bool]
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """An identification problem.
@@ -69,11 +74,13 @@ class Problem:
         engine: Engine of the rollouts.
         seed: Seed of every random draw.
         only: Fit these clips alone, a part of the problem.
-        others: Usable clips beside `only`, for which these stand.
+        beside: All usable clips, where `only` stands for them.
         whole: The problem of which this is a part: what moves what is the same.
         threads: Number of CPU threads, for what a coarse engine cannot decide.
         share: How often what the logs say counts: 0.5 where the prior has a half of it already.
         enough: A search may end with a step of so many posterior sd; None: when it has settled.
+        ends: Whether its search may end with a state, beside.
+        noise: What is taken for noise; None: what residuals show.
         like: A problem of the same unknowns under other priors; on the same clips it knows what moves what.
     """
 
@@ -82,12 +89,19 @@ class Problem:
     engine: Engine
     seed: int
     only: tuple[Window, ...] = ()
-    others: int = 0
+    beside: tuple[Window, ...] = ()
     whole: Problem | None = None
     threads: int = 1
     share: float = 1.0
     enough: float | None = None
+    ends: Ends | None = None
+    noise: Noise | None = None
     like: Problem | None = None
+
+    @property
+    def rough(self) -> bool:
+        """Whether its search only shows where to go, or what else explains the logs."""
+        return self.enough is not None or self.noise is not None
 
     def part(self, clips: IntArray) -> Problem:
         """The same problem on some of its clips."""
@@ -104,6 +118,8 @@ class Problem:
         if key not in kept:
             kept.clear()
             kept[key] = MatchingCost(self.system, windows, self.engine, self.settings.cost)
+        if self.noise is not None:
+            return kept[key].under(self.noise)
         return kept[key].scaled(scale) if scale else kept[key]
 
     @cached_property
@@ -155,7 +171,7 @@ class Problem:
     @property
     def thinned(self) -> int:
         """Usable clips that are left out because there are many."""
-        return len(self.usable) + self.others - len(self.clips)
+        return len(self.beside or self.usable) - len(self.clips)
 
     @cached_property
     def clip_count(self) -> int:
@@ -227,7 +243,7 @@ class Problem:
     @cached_property
     def _some_clips(self) -> Sequence[Window]:
         """Clips that show what moves what: some from everywhere, and some of each kind of log."""
-        clips = self.usable
+        clips = self.beside or self.usable
         return list(dict.fromkeys([*evenly(clips, 8), *of_each_kind(clips, FEW)]))
 
     @property
@@ -246,7 +262,7 @@ class Problem:
         The other side is tried of those alone that the first side leaves without an effect.
         What does not move all is looked at away from the prior's mean, too: a joint does not feel a mass
         whose centre lies on its axis, until the centre moves. What has the prior that it has in a problem
-        like this one moves at the prior's mean what it moves there.
+        like this one moves what it moves there.
         """
         d, cost = len(self.system.space), self.cost(self._some_clips)
         # cards that open between two of these calls would compute the later ones
@@ -271,8 +287,9 @@ class Problem:
             diverged[left] = ~residuals.completed[1:].all(axis=1)
             felt = np.any([columns[left].any(axis=1) for columns in moved.values()], axis=0)
             left = left[~(felt | diverged[left])]
-        gaps = np.flatnonzero(~np.all([columns.all(axis=1) for columns in moved.values()], axis=0))
-        if fresh.size and gaps.size and not (self.touches or diverged.any()):
+        some = ~np.all([columns[fresh].all(axis=1) for columns in moved.values()], axis=0)
+        gaps = fresh[np.broadcast_to(some, fresh.shape)]
+        if gaps.size and not (self.touches or diverged.any()):
             place = self.rng(12).uniform(-1.0, 1.0, d)
             steps = np.concatenate((np.zeros((1, d)), 0.5 * np.eye(d)[gaps]))
             residuals = cost.residuals(self.system.space.clip(place + steps))

@@ -138,7 +138,7 @@ def restart(
 def advance(problem: Problem, state: SearchState) -> SearchState:
     """One iteration: draw clips, linearise, step, and decide what comes next."""
     slopes = slopes_at(problem, state)
-    info = information(slopes)
+    info = information(slopes, steps=True)
     return stepped(problem, state, slopes, info, gauss_newton(problem, state, slopes, info))
 
 
@@ -146,7 +146,7 @@ def slopes_at(problem: Problem, state: SearchState) -> Linearisation:
     """How an iteration begins: draw clips, and linearise."""
     setting = problem.settings.identify
     exploring, few = state.stage == "explore", _few(problem, state)
-    rng = problem.rng(0, state.number)
+    rng = problem.rng(0, len(state.record))
     if exploring:
         windows = problem.drawn(rng, min(problem.clip_count, FEW) if few else problem.clip_count)
     else:
@@ -184,7 +184,7 @@ def stepped(
     )
     # a step is short, too, while the misfit of an iteration before passes for noise
     quieter = any(sd < 0.8 * state.scale.get(key, 1.0) for key, sd in taken.scale.items() if state.scale)
-    settled = still and not few and (problem.touches or not quieter)
+    settled = still and not few and (problem.touches or not quieter or problem.noise is not None)
     return replace(
         state,
         stage=_next_stage(state, number, settled, setting, total(problem, state)),
@@ -278,10 +278,10 @@ def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, in
     moved = trial.z[best] - state.z if problem.touches else step
     length = float(np.sqrt(moved @ hessian @ moved))
     if problem.touches or not np.isfinite(trial.values[best]):
-        scale = fitted_noise_scale(slopes, info, state.scale)
+        scale = fitted_noise_scale(slopes, info, cost.noise_scale)
     else:  # nothing jitters, so that one rollout shows the misfit that is left after the step
         left = to_host(trial.residuals.stacked[best])
-        scale = remaining_noise_scale(cost, left, trial.first[best], weight > 0.0, state.scale)
+        scale = remaining_noise_scale(cost, left, trial.first[best], weight > 0.0, cost.noise_scale)
     return LineStep(
         z=trial.z[best],
         moved=length,

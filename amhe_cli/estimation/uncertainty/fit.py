@@ -194,17 +194,21 @@ def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) ->
     """Linearise all clips at the estimate.
 
     Samples have the shape of the posterior, which depends on the linearisation: this is repeated until the
-    shape no longer changes, or a watch has no time for more.
+    shape no longer changes, or a watch has no time for more. One shows enough of a rough search, from steps
+    to one side where these are straight.
     """
-    floor = spread_floor(problem)
+    floor, rough = spread_floor(problem), problem.rough
     searched = isinstance(finding, SearchState)
     shape = finding.shape if searched else diagonal(SMALL, problem.active)
     scale, first = finding.scale, finding.first if searched else None
     # the last steps of the search have sampled in this shape and fitted the first states
     shaped = searched and first is not None and (problem.non_smooth or finding.settled)
     for turn in range(TURNS):
-        slopes = _linearised(problem, finding.z, scale, shape, first, turn)
+        straight = rough and searched and finding.straight
+        slopes = _linearised(problem, finding.z, scale, shape, first, turn, straight)
         fit = fit_of(problem, finding, slopes, shape, scale)
+        if rough:
+            break
         # wider samples would jitter as much, and bend more
         steady = fit
         if slopes.averaged:
@@ -285,9 +289,10 @@ def _linearised(
     shape: FloatArray,
     first: FirstStates | None,
     place: int,
+    straight: bool = False,
 ) -> Linearisation:
     cost, rng = problem.cost(problem.clips, scale), problem.rng(3, place)
-    return problem.linearised(cost, z, first or problem.recorded(cost), shape, rng)
+    return problem.linearised(cost, z, first or problem.recorded(cost), shape, rng, straight=straight)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 
 import numpy as np
 
 from amhe_cli.core.errors import and_more
 from amhe_cli.estimation.core.agreement import SURPRISE
 from amhe_cli.estimation.core.information import channel_times, split
-from amhe_cli.estimation.core.result import Against
+from amhe_cli.estimation.core.result import Against, Iteration
 from amhe_cli.estimation.offline.clips import clip_name
-from amhe_cli.estimation.offline.search import SearchState
+from amhe_cli.estimation.offline.problem import Problem
+from amhe_cli.estimation.offline.search import ROUGHLY, SearchState
 from amhe_cli.estimation.uncertainty.fit import FinalFit
-from amhe_cli.matching.cost import Residuals
+from amhe_cli.matching.cost import MatchingCost, Residuals
 from amhe_cli.matching.windows import Observed
 from amhe_cli.system.description.data import PART
 from amhe_cli.system.description.targets import gain_cells
@@ -48,14 +50,36 @@ def still_moving(fit: FinalFit) -> str:
     finding, space = fit.finding, fit.space
     left = np.abs(fit.left) / fit.posterior.sd
     moving = isinstance(finding, SearchState) and not (finding.settled or fit.problem.non_smooth)
-    costs = [i.cost for i in finding.record if i.stage == "polish"][-STALLED:]
-    if len(costs) < STALLED:
+    fell = _fell(finding.record, fit.slopes.cost, fit.times)
+    if fell is None:
         unsettled = moving or left.max() > UNSETTLED
     else:  # on the same clips: has the misfit fallen by more than one squared noise sd?
-        independent = float(fit.slopes.cost.clips.counts.sum()) / max(fit.times)
-        falls = (costs[0] / max(costs[-1], 1e-300) - 1.0) * independent > 1.0
-        unsettled = falls and left.max() > (MOVING if moving else UNSETTLED)
+        unsettled = fell > 1.0 and left.max() > (MOVING if moving else UNSETTLED)
     return space.names[int(left.argmax())] if unsettled else ""
+
+
+def _fell(record: Sequence[Iteration], cost: MatchingCost, times: Sequence[float]) -> float | None:
+    """By how many squared noise sd the misfit has fallen in the last iterations; None: these were too few."""
+    costs = [i.cost for i in record if i.stage == "polish"][-STALLED:]
+    if len(costs) < STALLED:
+        return None
+    independent = float(cost.clips.counts.sum()) / max(times)
+    noise = costs[-1] if cost.times is None else np.mean(np.square([*cost.noise_scale.values()]))
+    return float((costs[0] - costs[-1]) / max(noise, 1e-300) * independent)
+
+
+def stalled(problem: Problem, state: SearchState) -> bool:
+    """Whether the last steps of a search have gained nothing, long as they were.
+
+    Of one that may end with a step of so many sd, they have gained no more than such a step would.
+    """
+    if state.first is None or state.number < ROUGHLY + STALLED:
+        return False  # it has not seen all clips so often
+    cost = problem.cost(problem.clips, state.scale)
+    residuals = cost.residuals(state.z[None], state.first.mean[None] if cost.nx else None)
+    times = channel_times(cost, residuals.flat[0], residuals.completed[0])
+    fell = _fell(state.record, cost, times)
+    return fell is not None and fell <= max(1.0, problem.enough or 0.0) ** 2
 
 
 def report_misfit(fit: FinalFit) -> None:
