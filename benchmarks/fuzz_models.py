@@ -130,7 +130,7 @@ def _view(folder: Path) -> None:
     """`amhe view` of a result; an error that it does not expect is raised again."""
     said = io.StringIO()
     with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
-        code = run(["view", str(folder), "--save", str(folder / "page.html"), "-q"])
+        code = run(["view", str(folder), "--out", str(folder / "page.html"), "-q"])
     if "Traceback" in said.getvalue():
         raise RuntimeError(said.getvalue())
     if code:

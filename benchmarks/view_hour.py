@@ -79,7 +79,7 @@ def main() -> None:
             page.unlink(missing_ok=True)
             start = time.perf_counter()
             subprocess.run(
-                [sys.executable, "-m", "amhe_cli", "view", options.log, "--save", page, "-q"], check=True
+                [sys.executable, "-m", "amhe_cli", "view", options.log, "--out", page, "-q"], check=True
             )
             print(f"{time.perf_counter() - start:.1f} s, page {page.stat().st_size / 1e6:.1f} MB", flush=True)
     print(f"memory {resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e6:.2f} GB")

@@ -351,7 +351,6 @@ def test_first_states_are_those_of_a_search_that_cut_the_same_clips_anew(
 ) -> None:
     cost = SimpleNamespace(residuals=lambda *_: None)
     space = SimpleNamespace(z_of=np.asarray, theta_of=np.asarray, prior_sd=np.ones(1))
-    information = SimpleNamespace(first=lambda dz: np.zeros((1, 1, 2)))
 
     def fit(start: int) -> Any:
         clip = SimpleNamespace(log=SimpleNamespace(source="log"), start=start, length=5)
@@ -359,15 +358,16 @@ def test_first_states_are_those_of_a_search_that_cut_the_same_clips_anew(
             clips=(clip,), system=SimpleNamespace(space=space), cost=lambda clips, scale: cost
         )
         return SimpleNamespace(
-            problem=problem, space=space, weight=np.ones(1), z=np.zeros(1), shape=np.eye(1), times=(1.0,),
-            information=information, finding=SimpleNamespace(scale={}),
+            problem=problem, space=space, weight=np.ones(1), shape=np.eye(1), times=(1.0,),
+            finding=SimpleNamespace(scale={}),
         )  # fmt: skip
 
     anew = SimpleNamespace(misfit=lambda times: np.array([7.0]))
     monkeypatch.setattr(suspects, "scored", lambda *_: anew)
     monkeypatch.setattr(suspects, "clip_objectives", lambda *_: np.array([[3.0]]))
     for start, misfit in ((0, 3.0), (5, 7.0)):
-        of: Any = SimpleNamespace(fit=fit(start))
+        finding = SimpleNamespace(z=np.zeros(1), first=SimpleNamespace(mean=np.zeros((1, 2))))
+        of: Any = SimpleNamespace(problem=fit(start).problem, finding=finding)
         assert suspects._misfit(fit(0), of, None) == misfit
 
 

@@ -139,7 +139,7 @@ def test_estimates_under_a_robust_loss_scatter_as_their_covariance_says(width: i
         noise += np.einsum("cx,cxr->cr", rng.standard_normal((clips, 2)), gx)
         observed = SimpleNamespace(mask=np.ones((clips, samples), dtype=bool), width=width)
         cost = SimpleNamespace(
-            clips=SimpleNamespace(observed=[observed]), settings=SimpleNamespace(huber=3.0)
+            clips=SimpleNamespace(observed=[observed]), settings=SimpleNamespace(huber=3.0), times=None
         )
         z, nothing = np.zeros(unknowns), np.zeros((unknowns, unknowns))
         for _ in range(4):

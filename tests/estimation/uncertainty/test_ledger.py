@@ -149,7 +149,9 @@ def repeating(residual: FloatArray) -> tuple[float, float]:
     """Of a parameter that moves every residual (c, R) alike: its variance, and what repeating adds."""
     clips, samples = residual.shape
     observed = SimpleNamespace(mask=np.ones((clips, samples), dtype=bool), width=1)
-    cost = SimpleNamespace(clips=SimpleNamespace(observed=[observed]), settings=SimpleNamespace(huber=100.0))
+    cost = SimpleNamespace(
+        times=None, clips=SimpleNamespace(observed=[observed]), settings=SimpleNamespace(huber=100.0)
+    )
     slopes: Any = SimpleNamespace(
         cost=cost,
         residual=residual,
