@@ -44,10 +44,9 @@ from amhe_cli.core.yaml_file import merged
 from amhe_cli.estimation.conclude import Search
 from amhe_cli.estimation.core.result import Against, Identification, Iteration, ParameterResult
 from amhe_cli.estimation.identification import IdentifyOptions, concluded, searched_for
-from amhe_cli.estimation.offline.problem import Ends
+from amhe_cli.estimation.offline.problem import Ends, Noise
 from amhe_cli.estimation.uncertainty.misfit import stalled
 from amhe_cli.init.folder import Proposal
-from amhe_cli.matching.cost import Noise
 from amhe_cli.system.system import System
 
 #: Clips of the searches where motions are matched, and their length [s]: many short ones, along which even

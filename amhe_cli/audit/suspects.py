@@ -24,11 +24,10 @@ from amhe_cli.estimation.conclude import Search
 from amhe_cli.estimation.core.information import clip_objectives
 from amhe_cli.estimation.identification import ended
 from amhe_cli.estimation.offline.clips import places
-from amhe_cli.estimation.offline.problem import Ends, Problem
+from amhe_cli.estimation.offline.problem import Ends, Noise, Problem
 from amhe_cli.estimation.offline.search import SearchState, total
 from amhe_cli.estimation.uncertainty.fit import FinalFit, scored
 from amhe_cli.estimation.uncertainty.misfit import stalled, still_moving, unexplained
-from amhe_cli.matching.cost import Noise
 from amhe_cli.system.system import System
 
 #: Searches until no more number stands out, at most.

@@ -30,12 +30,11 @@ from amhe_cli.estimation.offline.clips import (
     whole,
 )
 from amhe_cli.estimation.offline.cma import CmaState
-from amhe_cli.estimation.offline.problem import Ends, Problem
+from amhe_cli.estimation.offline.problem import Ends, Noise, Problem
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.offline.watch import OnIteration, Watch
 from amhe_cli.estimation.uncertainty.fit import Finding
 from amhe_cli.estimation.uncertainty.misfit import still_moving
-from amhe_cli.matching.cost import Noise
 from amhe_cli.matching.motion import velocity_lag
 from amhe_cli.system.parameters.inertia import inertia_of
 from amhe_cli.system.system import System

@@ -74,14 +74,6 @@ class RolledOut:
     rollouts: Rollouts
 
 
-@dataclass(frozen=True, slots=True)
-class Noise:
-    """What is taken for noise: channel -> factor on its declared sd, and autocorrelation time in samples."""
-
-    scale: Mapping[str, float]
-    times: Mapping[str, float]
-
-
 class MatchingCost:
     """How well candidate parameters explain a fixed set of clips.
 
@@ -118,10 +110,10 @@ class MatchingCost:
         other.noise_scale, other.clips = noise_scale, replace(self.clips, observed=tuple(observed))
         return other
 
-    def under(self, noise: Noise) -> MatchingCost:
-        """The same clips under some noise, whatever residuals show."""
-        other = self.scaled(noise.scale)
-        other.times = noise.times
+    def under(self, noise_scale: Mapping[str, float], times: Mapping[str, float]) -> MatchingCost:
+        """The same clips under some noise, whatever residuals show; `times`: its autocorrelation times."""
+        other = self.scaled(noise_scale)
+        other.times = times
         return other
 
     def upon(self, engine: Engine, system: System | None = None) -> MatchingCost:

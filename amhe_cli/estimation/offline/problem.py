@@ -29,7 +29,7 @@ from amhe_cli.estimation.core.linearise import (
     sampling_width,
 )
 from amhe_cli.estimation.offline.clips import ClipPool, evenly, of_each_kind, places
-from amhe_cli.matching.cost import MatchingCost, Noise, Residuals
+from amhe_cli.matching.cost import MatchingCost, Residuals
 from amhe_cli.matching.starts import first_index
 from amhe_cli.system.parameters.contacts import geom_name, needed_contacts
 from amhe_cli.system.parameters.inertia import inertia_of
@@ -58,6 +58,14 @@ NARROWEST = 0.7
 _LOOKS = 400
 #: A gap below this is a touch [m].
 _TOUCH = 0.005
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """What is taken for noise: channel -> factor on its declared sd, and autocorrelation time in samples."""
+
+    scale: Mapping[str, float]
+    times: Mapping[str, float]
 
 
 #: Whether a search may end with its state, a `SearchState`, after an iteration.
@@ -119,7 +127,7 @@ class Problem:
             kept.clear()
             kept[key] = MatchingCost(self.system, windows, self.engine, self.settings.cost)
         if self.noise is not None:
-            return kept[key].under(self.noise)
+            return kept[key].under(self.noise.scale, self.noise.times)
         return kept[key].scaled(scale) if scale else kept[key]
 
     @cached_property
