@@ -44,7 +44,7 @@ from amhe_cli.core.yaml_file import merged
 from amhe_cli.estimation.conclude import Search
 from amhe_cli.estimation.core.result import Against, Identification, Iteration, ParameterResult
 from amhe_cli.estimation.identification import IdentifyOptions, concluded, searched_for
-from amhe_cli.estimation.offline.problem import Ends, Noise
+from amhe_cli.estimation.offline.problem import Ends, KnownNoise
 from amhe_cli.estimation.uncertainty.misfit import stalled
 from amhe_cli.init.folder import Proposal
 from amhe_cli.system.system import System
@@ -159,7 +159,7 @@ def audit(
 
     def searched(
         clips: int | None, length: float | None, enough: float | None,
-        wide: Collection[Group], near: Search | None, noise: Noise | None = None, ends: Ends = stalled,
+        wide: Collection[Group], near: Search | None, noise: KnownNoise | None = None, ends: Ends = stalled,
     ) -> Search:  # fmt: skip
         guesses = [claim.guess(claim.group not in wide) for claim in claims]
         short = {"clips": {"length": [length, length]}} if length else {}

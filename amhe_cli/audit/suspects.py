@@ -24,7 +24,7 @@ from amhe_cli.estimation.conclude import Search
 from amhe_cli.estimation.core.information import clip_objectives
 from amhe_cli.estimation.identification import ended
 from amhe_cli.estimation.offline.clips import places
-from amhe_cli.estimation.offline.problem import Ends, Noise, Problem
+from amhe_cli.estimation.offline.problem import Ends, KnownNoise, Problem
 from amhe_cli.estimation.offline.search import SearchState, total
 from amhe_cli.estimation.uncertainty.fit import FinalFit, scored
 from amhe_cli.estimation.uncertainty.misfit import stalled, still_moving, unexplained
@@ -48,7 +48,7 @@ class Searched(Protocol):
         self,
         wide: Collection[Group],
         near: Search | None,
-        noise: Noise | None = None,
+        noise: KnownNoise | None = None,
         ends: Ends = stalled,
     ) -> Search:
         """`noise`, `ends`: as of `Problem`."""
@@ -192,11 +192,11 @@ class Explanation:
         return Explanation(_ended(search), wrong, self.claims).further()
 
 
-def noise_of(fit: FinalFit, wider: float) -> Noise:
+def noise_of(fit: FinalFit, wider: float) -> KnownNoise:
     """What a fit has left, of an sd larger by a factor: other explanations are searched for under it."""
     keys = [observed.channel.key for observed in fit.slopes.cost.clips.observed]
     scale = {key: wider * fit.finding.scale.get(key, 1.0) for key in keys}
-    return Noise(scale, dict(zip(keys, fit.times, strict=True)))
+    return KnownNoise(scale, dict(zip(keys, fit.times, strict=True)))
 
 
 def over(search: Search) -> bool:

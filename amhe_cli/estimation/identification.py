@@ -30,7 +30,7 @@ from amhe_cli.estimation.offline.clips import (
     whole,
 )
 from amhe_cli.estimation.offline.cma import CmaState
-from amhe_cli.estimation.offline.problem import Ends, Noise, Problem
+from amhe_cli.estimation.offline.problem import Ends, KnownNoise, Problem
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.offline.watch import OnIteration, Watch
 from amhe_cli.estimation.uncertainty.fit import Finding
@@ -113,7 +113,7 @@ def searched_for(
     near: Search | None = None,
     clips: int | None = None,
     enough: float | None = None,
-    noise: Noise | None = None,
+    noise: KnownNoise | None = None,
     ends: Ends | None = None,
 ) -> Search:
     """The search of `identify`, whose arguments it takes, without the conclusion.

@@ -61,7 +61,7 @@ _TOUCH = 0.005
 
 
 @dataclass(frozen=True, slots=True)
-class Noise:
+class KnownNoise:
     """What is taken for noise: channel -> factor on its declared sd, and autocorrelation time in samples."""
 
     scale: Mapping[str, float]
@@ -103,7 +103,7 @@ class Problem:
     share: float = 1.0
     enough: float | None = None
     ends: Ends | None = None
-    noise: Noise | None = None
+    noise: KnownNoise | None = None
     like: Problem | None = None
 
     @property
