@@ -32,6 +32,7 @@ from amhe_cli.estimation.validation.prediction import (
 )
 from amhe_cli.report.comparison import comparison_record, comparison_table, write_comparison
 from amhe_cli.report.folder import reserve
+from amhe_cli.report.numbers import joined
 from amhe_cli.system.provenance import provenance
 from amhe_cli.system.system import System
 
@@ -177,10 +178,10 @@ def _verdicts(
     """What the logs say of the best system against each other one whose search has ended."""
     others = [i for i in range(len(names)) if i != best]
     ended = [verdict(found, names, best, i) for i in others if settled[i]]
-    if not (short := " and ".join(names[i] for i in others if not settled[i])):
+    if not (short := [names[i] for i in others if not settled[i]]):
         return tuple(ended)
     more = "give it more (`identify.iterations`, `max_time`)"
-    return (*ended, f"no model is called better than {short}, whose search did not end; {more}")
+    return (*ended, f"no model is called better than {joined(short)}, whose search did not end; {more}")
 
 
 def _names(systems: Sequence[System]) -> tuple[str, ...]:

@@ -63,8 +63,9 @@ def compare(session: Session, given: Given) -> None:
     with progress(session, "compare", of_words) as show:
         how = given.pick("seed", "threads", "engine", "max_time")
         found = run(systems, read, held_out=scored, simplest=given.friction, progress=show, **how)
-    lines = _lines(opened[0], found.names[found.best]) if given.friction else []
-    record = session.record(**found.record(), out=str(folder)) | ({"lines": lines} if lines else {})
+    compared = found.record()
+    lines = _lines(opened[0], compared["best"]) if given.friction and compared["best"] else []
+    record = session.record(**compared, out=str(folder)) | ({"lines": lines} if lines else {})
     found.write(folder, record, session.command_line)
     if session.gave(record):
         return
@@ -103,7 +104,9 @@ def _lines(system: System, name: str) -> list[str]:
     from amhe_cli.system.friction_models import MODELS, friction_entries, of_gears
 
     entries, own = friction_entries(system, name), ", ".join(of_gears(system))
-    where = f"; in the parameters of system.yaml, in place of {own}:" if own else ""
-    where = where or ("; add to the parameters of system.yaml:" if entries else "")
-    head = f"{name}: {MODELS[name][1]}{where}"
+    head, where = f"{name}: {MODELS[name][1]}", "the parameters of system.yaml"
+    if own:
+        head += f"; in {where}, in place of {own}:" if entries else f"; take {own} out of {where}"
+    elif entries:
+        head += f"; add to {where}:"
     return [head, *(f"  {key}: {flow(entry)}" for key, entry in entries.items())]

@@ -10,7 +10,7 @@ import pytest
 
 import amhe_cli as amhe
 from amhe_cli.api.compare import _verdicts
-from amhe_cli.cli.compare import _parted
+from amhe_cli.cli.compare import _lines, _parted
 from amhe_cli.cli.main import run
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.core.result import AtHorizon
@@ -82,6 +82,8 @@ def test_only_a_rival_whose_search_has_ended_is_called_worse() -> None:
     ]
     assert judged[0][0].startswith("arm predicts better than other")
     assert judged[1][0].startswith("no model is called better than other, whose search did not end")
+    (short,) = _verdicts([at(0.1, 20)], ("arm", "b", "c", "d"), 0, [True, False, False, False])
+    assert short.startswith("no model is called better than b, c and d, whose")
 
 
 def test_the_table_fits_a_terminal_of_80_columns_and_cuts_no_number() -> None:
@@ -127,6 +129,29 @@ def test_friction_models_stand_in_place_of_the_systems_own() -> None:
     }
     assert all("punch" in some and "share" not in some for some in names.values())
     assert names["M3"] - names["M1"] == {"load_friction"}
+
+
+@pytest.mark.medium
+def test_no_friction_model_is_enough_before_the_searches_have_ended(
+    pendulum_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    two = [friction_models(amhe.System.load("pendulum", QUICK))[name] for name in ("M1", "M3")]
+    monkeypatch.setattr("amhe_cli.cli.compare._with_frictions", lambda _: two)
+    given = ["compare", "--friction", "pendulum", "--logs", str(pendulum_log), "--max-time=0.1"]
+    assert run([*given, "--threads=1", "-o", str(tmp_path / "out")]) == 0
+    out = capsys.readouterr().out
+    assert "whose search did not end" in out and "system.yaml" not in out
+    record = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert record["best"] is None and "lines" not in record
+
+
+def test_the_lines_of_constant_friction_take_the_systems_own_away() -> None:
+    share = {"bounds": [-0.2, 1.0], "targets": [{"joint": "hinge", "set": "load_friction"}]}
+    own = amhe.System.load("pendulum", {"parameters": {"share": share}}, warn=False)
+    plain = amhe.System.load("pendulum", warn=False)
+    assert _lines(plain, "M1") == ["M1: constant friction"]
+    assert _lines(own, "M1") == ["M1: constant friction; take share out of the parameters of system.yaml"]
+    assert _lines(own, "M3")[0].endswith("; in the parameters of system.yaml, in place of share:")
 
 
 @pytest.mark.slow
