@@ -271,6 +271,24 @@ def identify(
     """
     hush_mujoco()
     seed, threads = checked(seed, threads, times={"max_time": max_time}, files={"checkpoint": checkpoint})
+    path = None if checkpoint is None else Path(checkpoint)
+    options = identification.IdentifyOptions(
+        method, seed, threads, max_time, path, executor=executor, engine=engine
+    )
+    fitted, validation = _split(system, logs, held_out, fix or {})
+    held = {"fix": fix, "only": only, "belief_anyway": belief_anyway}
+    return _found(
+        system, fitted, validation, prior, held, options, progress or (lambda iteration, total: None)
+    )
+
+
+def _split(
+    system: System,
+    logs: Log | Sequence[Log],
+    held_out: Log | Sequence[Log] | None,
+    fix: Mapping[str, float],
+) -> tuple[tuple[Log, ...], tuple[Log, ...]]:
+    """The logs to fit, and those that only validate; refused where one is both."""
     given = _logs(system, logs, "logs")
     fitted = tuple(log for log in given if not log.held_out)
     validation = tuple(log for log in given if log.held_out)
@@ -280,48 +298,39 @@ def identify(
     for log in validation:
         if any(log is other or _same_data(log, other) for other in fitted):
             raise ConfigError(f"`held_out`: {log.source} is fitted too; validation needs a log of its own")
-    every = (*fitted, *validation)
-    for name in fix or ():
-        if knowing := next((log for log in every if name in log.known), None):
+    for name in fix:
+        if knowing := next((log for log in (*fitted, *validation) if name in log.known), None):
             raise ConfigError(f"`fix`: {knowing.source} knows its own value of {name}; leave one of them out")
-    chosen, start, fitted, validation = _starting(
-        system, fitted, validation, prior, fix=fix, only=only, belief_anyway=belief_anyway
-    )
-    effort, share = None, 1.0
+    return fitted, validation
+
+
+def _found(
+    system: System,
+    fitted: tuple[Log, ...],
+    validation: tuple[Log, ...],
+    prior: Belief | str | Path | None,
+    held: Mapping[str, Any],
+    options: identification.IdentifyOptions,
+    progress: Callable[[Iteration, int], None],
+) -> Result:
+    """The result of checked arguments; where efforts and motion are matched, efforts come first."""
+    logs = fitted, validation
+    chosen, start, fitted, validation = _starting(system, *logs, prior, **held)
+    effort = None
     if chosen.match == "both":
-        how = {"fix": fix, "only": only, "seed": seed, "threads": threads, "progress": progress}
-        effort = identify(
-            system.matching("effort"),
-            given,
-            held_out=held_out,
-            prior=prior,
-            belief_anyway=belief_anyway,
-            **how,
-        )
-        start, share = _half(effort), 0.5
-    system = chosen
-    check_logs(fitted, validation, system.space, system.fixed)
-    options = identification.IdentifyOptions(
-        method=method,
-        seed=seed,
-        threads=threads,
-        max_time=max_time,
-        checkpoint=None if checkpoint is None else Path(checkpoint),
-        prior=start,
-        share=share,
-        executor=executor,
-        engine=engine,
-    )
+        plain = identification.IdentifyOptions(seed=options.seed, threads=options.threads)
+        effort = _found(system.matching("effort"), *logs, prior, held, plain, progress)
+        start, options = _half(effort), replace(options, share=0.5)
+    check_logs(fitted, validation, chosen.space, chosen.fixed)
     begun = time.monotonic()
     with collected_warnings() as warnings:
         if start is not None and effort is None:
             _warn_of_same_logs(start, fitted)
-        found = identification.identify(
-            system, fitted, validation, options, progress or (lambda iteration, total: None)
-        )
+        found = identification.identify(chosen, fitted, validation, replace(options, prior=start), progress)
     if effort is not None:
         found = replace(found, parameters=tuple(_lines(effort, found, start)))
-    result = Result(system, found, fitted, validation, seed, time.monotonic() - begun, tuple(warnings))
+    seconds = time.monotonic() - begun
+    result = Result(chosen, found, fitted, validation, options.seed, seconds, tuple(warnings))
     if found.interrupted:
         raise Interrupted(result)
     return result

@@ -145,16 +145,9 @@ def proposed(
 
     `efforts`: measured torques are compared also where commands are known.
     """
-    spec = read_spec(model_path, urdf)
-    model = compiled(spec)
-    found = _topics(logs, msg_path)
-    topics = _with_tables(found, model)
-    rewrite, notes = is_urdf(model_path), list[str]()
-    if rewrite:
-        notes += notes_on_urdf(spec, model) + free_root(spec, topics)
-    added = rewrite and not model.nactuator
-    if added:
-        notes += add_servos(spec, model, topics)
+    spec, rewrite, notes = read_spec(model_path, urdf), is_urdf(model_path), list[str]()
+    topics = _with_tables(found := _topics(logs, msg_path), compiled(spec))
+    added = rewrite and _complete(spec, topics, notes)
     model = compiled(spec)
     guesses = guess_signals(model, topics)
     twice = {topic.name for topic in topics if is_measured(topic, topics)}
@@ -185,13 +178,9 @@ def proposed(
     notes += notes_on(model, topics, guesses, efforts=matched is not None)
     for guess in guesses:
         with_columns(guess, topics, alone=len({topic.table for topic in topics if topic.columns}) == 1)
-    stated = {name for guess in guesses for name in guess.entry.get("joints", ())}
-    # a signal to complete by hand for each type that is not built in, while joints lack a state
-    unread = [] if stated.issuperset(single_joints(model)) else foreign(topics)
-    skeletons = [fields_example(model, topic) for topic in unread]
+    skeletons = _skeletons(model, topics, guesses)
     guesses = [*guesses, *told, *(matched or ())[:1]]
-    spare = guessed_masses(model, guesses) if actuators else []
-    match = "effort" if matched else "motion"
+    spare, match = guessed_masses(model, guesses) if actuators else [], "effort" if matched else "motion"
     made = Proposal(spec, rewrite, guesses, parameters, notes, skeletons, spare, match)
     while declared := _declare_units(made, logs[0], msg_path):
         notes += declared
@@ -201,19 +190,29 @@ def proposed(
     return made
 
 
+def _complete(spec: mujoco.MjSpec, topics: Sequence[Topic], notes: list[str]) -> bool:
+    """Give a URDF what logs say that it lacks, with notes; whether it got servos."""
+    model = compiled(spec)
+    notes += notes_on_urdf(spec, model) + free_root(spec, topics)
+    if not model.nactuator:
+        notes += add_servos(spec, model, topics)
+    return not model.nactuator
+
+
+def _skeletons(model: mujoco.MjModel, topics: Sequence[Topic], guesses: Sequence[Guess]) -> list[list[str]]:
+    """Signals to complete by hand, one for each type that is not built in, while joints lack a state."""
+    stated = {name for guess in guesses for name in guess.entry.get("joints", ())}
+    unread = [] if stated.issuperset(single_joints(model)) else foreign(topics)
+    return [fields_example(model, topic) for topic in unread]
+
+
 def init_system(
     model_path: Path,
     logs: Sequence[Path],
     out: Path,
-    msg_path: Path | None = None,
+    *,
     force: bool = False,
-    urdf: UrdfOptions | None = None,
-    actuators: bool = False,
-    group: bool = False,
-    gains: bool = False,
-    backlash: Sequence[str] = (),
-    elastic: Sequence[str] = (),
-    drives: Chosen | None = None,
+    **how: Any,
 ) -> Proposal:
     """Write a system folder that `amhe identify` can use at once.
 
@@ -221,8 +220,9 @@ def init_system(
         model_path: MJCF or URDF; it is copied with its files.
         logs: Logs of the robot; the noise is estimated from the first one.
         out: Folder to write; it appears whole or not at all.
-        msg_path: Folder of `.msg` files for types that the logs do not define.
         force: Write into a folder that is not empty.
+        how: What follows.
+        msg_path: Folder of `.msg` files for types that the logs do not define.
         urdf: How to read a URDF.
         actuators: The unknowns are those of all drives, and nothing else.
         group: With `actuators`: equal drives share their parameters.
@@ -238,12 +238,12 @@ def init_system(
         ConfigError: The model cannot be read, or nothing in the logs is a part of it.
         LogError: A log cannot be read.
     """
-    for name, given in (("group", group), ("gains", gains)):
-        if given and not actuators:
+    for name in ("group", "gains"):
+        if how.get(name) and not how.get("actuators"):
             raise ConfigError(f"`{name}` is for the drives of `actuators`: give both")
     if out.exists() and not force and any(out.iterdir()):
         raise ConfigError(f"{out}: is not empty; choose another folder, or give `force=True`")
-    made = proposed(model_path, logs, msg_path, urdf, actuators, group, gains, backlash, elastic, drives)
+    made = proposed(model_path, logs, **how)
     with filling(out) as folder:
         name = copy_model(made.spec, model_path, folder, rewrite=made.rewrite)
         head = (name, model_path.name, [str(log) for log in logs])

@@ -50,7 +50,7 @@ def load(
         file.raise_problems()
         raise ConfigError(f"{file.path}: not a system")
     text = file.path.read_text(encoding="utf-8")
-    loaded = _built(file, str(file.path), entry, spec, folder.resolve().name, folder, text, warn)
+    loaded = _built(file, str(file.path), entry, spec, text, warn)
     mhe = loaded.settings.mhe
     for name in mhe.idle(overrides.get("mhe") or ()) if warn else ():
         logger.warning("mhe.%s does nothing with the method %s", name, mhe.method)
@@ -63,7 +63,7 @@ def load(
             file.own["robot"],
             ", ".join(groups),
         )
-    return replace(loaded, given=overrides)
+    return replace(loaded, name=folder.resolve().name, folder=folder, given=overrides)
 
 
 def described(
@@ -83,7 +83,7 @@ def described(
     arguments.raise_problems()
     assert entry is not None, "no mistake was noted"
     text = entry.model_dump_json(indent=2, exclude_defaults=True) + "\n"  # JSON is YAML too
-    return _built(arguments, entry.model, entry, spec, entry.model, None, text, warn)
+    return _built(arguments, entry.model, entry, spec, text, warn)
 
 
 def matched(data: SystemData, match: str) -> SystemData:
@@ -95,9 +95,8 @@ def matched(data: SystemData, match: str) -> SystemData:
     entry = validated(arguments, type(data.settings))
     arguments.raise_problems()
     assert entry is not None, "no mistake was noted"
-    spec, given = data.original.copy(), {**data.given, "match": match}
-    made = _built(arguments, data.name, entry, spec, data.name, data.folder, data.text, False)
-    return replace(made, given=given)
+    made = _built(arguments, data.name, entry, data.original.copy(), data.text, False)
+    return replace(made, folder=data.folder, given={**data.given, "match": match})
 
 
 class Arguments:
@@ -138,23 +137,16 @@ def _with_topic(name: str, signal: Any) -> Any:
 
 
 def _built(
-    source: Description,
-    where: str,
-    entry: SystemEntry,
-    spec: mujoco.MjSpec,
-    name: str,
-    folder: Path | None,
-    text: str,
-    warn: bool,
+    source: Description, name: str, entry: SystemEntry, spec: mujoco.MjSpec, text: str, warn: bool
 ) -> SystemData:
-    """Compile a system from its description.
+    """Compile a system, which has no folder, from its description.
 
     Args:
         source: Keeps the mistakes that are found.
-        where: Name of the description in warnings.
+        name: Name of the system, and of the description in warnings.
         entry: The description, validated.
         spec: The model as it was given; sensors are added to it.
-        name, folder, text: See `SystemData`.
+        text: See `SystemData`.
         warn: Log what is allowed but will not do what it seems to.
     """
     original = spec.copy()
@@ -173,23 +165,21 @@ def _built(
     keyframe = _keyframe(source, entry, base)
     _refuse_strangers(source, entry, base)
     source.raise_problems()
-    for parameter_name, parameter in entry.parameters.items():
+    for late, parameter in entry.parameters.items():
         if not commands and any(target.set == "command_delay" for target in parameter.targets):
-            source.problem(
-                ("parameters", parameter_name),
-                "a command delay changes nothing: no signal commands actuators",
-            )
+            why = "a command delay changes nothing: no signal commands actuators"
+            source.problem(("parameters", late), why)
     source.raise_problems()
     if warn:
-        caution(where, base, edits)
+        caution(name, base, edits)
         if keyframe is None and (joints := draft.unset_joints()):
             why = "it starts each clip at zero; give one, or a keyframe"
-            logger.warning(f"{where}: no signal gives the state of joint {', '.join(joints)}: {why}")
+            logger.warning(f"{name}: no signal gives the state of joint {', '.join(joints)}: {why}")
         if off:
             logger.log(NOTE, unpowered_text([base.actuator(row).name or f"number {row}" for row in off]))
     return SystemData(
         name=name,
-        folder=folder,
+        folder=None,
         text=text,
         original=original,
         spec=spec,
