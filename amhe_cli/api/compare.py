@@ -109,9 +109,7 @@ def compare(
         systems: Two or more systems; the clips are cut as the first one's settings say.
         logs: For each system the same logs, read for it.
         held_out: Likewise logs to score on; None: a share of the logs' time is held out.
-        seed: Seed of the random numbers.
-        threads: CPU threads; None: all cores. Results do not depend on it.
-        engine: What computes the rollouts: 'cpu', 'gpu', or 'auto', for each call the quicker.
+        seed, threads, engine: As in `identify`.
         max_time: Time of the whole comparison [s], shared evenly; None: no limit.
         simplest: Prefer the system with the fewest parameters of those within one standard error of the best.
         progress: Called with a line of text now and then.

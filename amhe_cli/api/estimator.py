@@ -29,10 +29,7 @@ class Estimator:
     Args:
         system: Model, parameters, signals and settings.
         belief: A belief, or the path of a belief.yaml, to start from; None: the system's own prior.
-        belief_anyway, fix, only: As in `identify`.
-        seed: Seed of the random numbers.
-        threads: CPU threads; results do not depend on it.
-        engine: What computes the rollouts: 'cpu', 'gpu', or 'auto', for each call the quicker.
+        belief_anyway, fix, only, seed, threads, engine: As in `identify`; `threads` is one unless given.
 
     Raises:
         ConfigError: An argument is wrong, the belief does not suit the system, or the window is too short.

@@ -45,10 +45,7 @@ def probe(
         system: A system whose actuators are driven as they are.
         seconds: Length of the excitation [s].
         belief: What is believed of the parameters; None: the system's prior.
-        belief_anyway, fix, only: As in `identify`.
-        seed: Seed of the random numbers.
-        threads: CPU threads; None: all cores. Results do not depend on it.
-        engine: What computes the rollouts: 'cpu', 'gpu', or 'auto', for each call the quicker.
+        belief_anyway, fix, only, seed, threads, engine: As in `identify`.
         recipe: Kind of the excitation: 'chirp', 'multisine', 'steps' or 'sweep'. Simulated under draws of the
             prior, it reaches no limit of joints, speed or force, and touches nothing.
         speed: Largest speed of a joint [rad/s or m/s]; None: that of the settings, or else 3.14 of hinges,
@@ -112,8 +109,7 @@ def run(
         belief: A belief in place of the task's own.
         belief_anyway: Take a belief about another model too, and only warn of what has changed.
         seed: Seed of start poses, sensor noise and sampling.
-        threads: CPU threads; None: all cores. Results do not depend on it.
-        engine: What computes the rollouts: 'cpu', 'gpu', or 'auto', for each call the quicker.
+        threads, engine: As in `identify`.
         duration: Longest time of the run [s]; None: the tasks' own limit.
         settings: Nested settings such as `{"mhe": {"window": 0.5}}`.
         log: File for the log (.mcap); None: it is not kept.

@@ -51,16 +51,9 @@ class IdentifyOptions:
     """How to search.
 
     Args:
-        method: One of `METHODS`.
-        seed: Seed of every random draw.
-        threads: CPU threads; results do not depend on them.
-        max_time: Time for search and conclusion [s]: the search stops early enough with the best so far, and
-            checks for which there is no time are left out; None: no limit.
-        checkpoint: File to save the search in after every iteration, and to resume from.
+        method, seed, threads, max_time, checkpoint, executor, engine: See `amhe_cli.identify`.
         prior: A belief to start from instead of the system's own prior.
-        executor: Executor whose workers compute the rollouts; None: threads of this process. Results do not
-            depend on it.
-        engine: Kind of engine, see `open_engine`.
+        share: See `Problem`.
     """
 
     method: str = "linearised"
