@@ -78,7 +78,7 @@ def check(session: Session, given: Given) -> int | None:
         console.print(f"{path.name}: {', '.join(facts)}")
         print_findings(found, console)
         if not found:
-            console.print("  nothing that a robot could not have", style="green")
+            console.print("  every number is one that a robot can have", style="green")
         if hope is not None:
             print_expected(hope, moved, console)
         for text in missed:

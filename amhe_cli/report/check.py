@@ -140,7 +140,7 @@ def check_page(
             sections.append(Section("Known together only", items=known))
     sections.append(Section("How it was made", items=[command], files=True, folded=True))
     of = ("the model",) if hope is None else ()
-    headline = f"{_doubts(len(found), *of)}." if found else "Nothing that a robot could not have."
+    headline = f"{_doubts(len(found), *of)}." if found else "Every number is one that a robot can have."
     return page("check", title=name, facts=facts, headline=headline, statements=statements, sections=sections)
 
 
