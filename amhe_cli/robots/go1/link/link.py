@@ -44,6 +44,7 @@ class SenderWatch:
 
     Attributes:
         report: The newest report of the sender; if it was lost, of what is done in its place.
+        looked: When the sender's messages were taken in for the last time [s].
         driven: Whether the robot has been commanded to move.
         realtime: Whether it has real-time priority.
     """
@@ -53,7 +54,7 @@ class SenderWatch:
         self._robot = robot.dup()
         self._samples: deque[Any] = deque()
         self._closing = False
-        self.report = SenderReport()
+        self.report, self.looked = SenderReport(), math.inf
         self.driven = self.realtime = False
         # no daemon: Python itself does not end before the robot is down
         threading.Thread(target=self._run, name="watch over the sender").start()
@@ -86,6 +87,7 @@ class SenderWatch:
             messages = list(self._child.pipe.received())
             for message in messages:
                 self._take(message)
+            self.looked = now
             if messages:
                 last = now
             elif not self._child.pipe.open:
@@ -232,6 +234,11 @@ class Link(Opened):
     def samples(self) -> list[Any]:
         """States that arrived since the last call, as records of `mail.SAMPLE`."""
         return self._watch.samples() if self._watch else []
+
+    @property
+    def looked(self) -> float:
+        """When the states that `samples` has were taken from the sender [s]."""
+        return self._watch.looked if self._watch else math.inf
 
     def finish(self) -> SenderReport:
         """Let the robot sit down and switch its motors off; wait until this is done."""

@@ -169,7 +169,8 @@ class Contact:
     _echoes: dict[int, list[float]] = field(default_factory=lambda: {DAMPED: [], SERVO: []})
     _turned: float = -1.0
     _good: int = 0
-    _ticks: tuple[int, int] | None = None
+    _missing: int = 0
+    _tick: int | None = None
     _strange: Counter[tuple[int, str]] = field(default_factory=Counter)
 
     def turn(self, now: float) -> int:
@@ -184,7 +185,8 @@ class Contact:
     def see(self, state: RobotState, arrival: float) -> None:
         """Take in a good state."""
         self._good += 1
-        self._ticks = (self._ticks[0] if self._ticks else state.tick, state.tick)
+        missing = 0 if self._tick is None else state.tick - self._tick - 1
+        self._missing, self._tick = self._missing + min(missing, _PAUSE), state.tick
         if not self.complete and self._turned >= 0.0 and (state.modes == self.mode).all():
             self._echoes[self.mode].append(arrival - self._turned)
             self._turned = -1.0
@@ -231,8 +233,7 @@ class Contact:
 
     @property
     def report(self) -> dict[str, Any]:
-        """The findings as plain values; `share` is that of the robot's states that arrived."""
-        expected = self._ticks[1] - self._ticks[0] + 1 if self._ticks else 0
+        """The findings as plain values; `share` is that of the robot's states that arrived, see `Share`."""
         (size, why), _ = (self._strange.most_common(1) or [((0, ""), 0)])[0]
         return {
             "complete": self.complete,
@@ -240,7 +241,7 @@ class Contact:
             "in_step": self.in_step,
             "round_trip_ms": round(1e3 * self.round_trip, 2),
             "states": self._good,
-            "share": round(min(1.0, self._good / expected), 3) if expected > 0 else 0.0,
+            "share": round(self._good / max(self._good + self._missing, 1), 3),
             "strange": sum(self._strange.values()),
             "strange_size": size,
             "strange_why": why,

@@ -286,6 +286,7 @@ class Go1Target(Opened):
 
     def _collect(self) -> None:
         """Take in all that has arrived, can be true, and is not older than the beginning of the run."""
+        until = self._link.looked
         robot = [sample for sample in self._link.samples() if sample["time"] >= self._start]
         self._robot += robot
         self._imu = self._robot[-1]["quaternion"] if self._robot else self._imu
@@ -295,7 +296,7 @@ class Go1Target(Opened):
                 self._newest[pose.body] = max(self._newest[pose.body], exposed, key=lambda one: one.time)
                 self._pair(exposed)
         if self._start:
-            self._witness.feel(np.array(robot, dtype=SAMPLE))
+            self._witness.feel(np.array(robot, dtype=SAMPLE), until)
             if contradiction := self._witness.contradiction:
                 self._link.contradict(contradiction)
             if self._gate.doubt:

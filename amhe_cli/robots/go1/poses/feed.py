@@ -142,7 +142,17 @@ class _Sender:
         self._last: dict[str, bytes] = {}
         self._strange = 0
 
-    def pass_on(self, seen: Sighting) -> None:
+    def pass_on(self, seen: list[Sighting]) -> None:
+        """Pass on what was seen since the last look.
+
+        Poses without stamps that have waited together were exposed nobody knows when: the last one counts.
+        """
+        last = {one.body: one for one in seen}
+        for one in seen:
+            if one.stamp is not None or one is last[one.body]:
+                self._pass_on(one)
+
+    def _pass_on(self, seen: Sighting) -> None:
         pose, before = seen.position.tobytes() + seen.orientation.tobytes(), self._last.get(seen.body)
         self._last[seen.body] = pose
         if seen.stamp is None and pose == before:  # a camera is never so still: the source has frozen
@@ -178,8 +188,7 @@ def main() -> None:
     try:
         source.connect()
         while pipe.open:
-            for seen in source.wait(_WAIT):
-                sender.pass_on(seen)
+            sender.pass_on(source.wait(_WAIT))
             list(pipe.received())  # nothing comes; at the end of the program it is closed
     except PoseError as error:
         pipe.send(error)

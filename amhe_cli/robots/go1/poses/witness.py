@@ -85,10 +85,16 @@ class Witness:
         self._felt: deque[_Felt] = deque(maxlen=_KEPT)
         self._seen: dict[str, deque[Seen]] = {name: deque(maxlen=_KEPT) for name in self._names}
         self._gaps: deque[tuple[float, float]] = deque(maxlen=_KEPT)
-        self._stir, self._stirred_since = np.inf, np.inf
+        self._stir, self._stirred_since, self._until = np.inf, np.inf, np.inf
 
-    def feel(self, robot: Any) -> None:
-        """Take in states of the robot, in the order of time: fields of `mail.SAMPLE`, shape (m,)."""
+    def feel(self, robot: Any, until: float = np.inf) -> None:
+        """Take in states of the robot, in the order of time: fields of `mail.SAMPLE`, shape (m,).
+
+        Args:
+            robot: The states.
+            until: When they were taken from the sender [s]: later ones may be there already.
+        """
+        self._until = until
         for block in np.array_split(robot, max(1, len(robot) // _BLOCK)) if len(robot) else ():
             time, joints = float(block["time"].mean()), block["joints"].mean(axis=0)
             turn = block["quaternion"][len(block) // 2]
@@ -117,7 +123,7 @@ class Witness:
     def _out_of_step(self) -> str:
         """By how much states are older than poses, in words: they are not those of now."""
         seen = self._seen[self._names[0]]
-        late = seen[-1].time - self._felt[-1].time if seen and self._felt else 0.0
+        late = min(seen[-1].time, self._until) - self._felt[-1].time if seen and self._felt else 0.0
         words = f"states of the robot are {1e3 * late:.0f} ms older than its poses"
         return words if late > self._latest else ""
 
@@ -133,11 +139,15 @@ class Witness:
             scatter = np.square(standing - standing.mean(axis=0)).mean()
             way.see_rate(standing.mean(axis=0), float(np.sqrt(_FOOT**2 + scatter)))
 
-    def _window(self, body: str, longest: float = _WINDOW) -> list[Seen]:
-        """The newest poses of a body that the robot has felt the time of; none if they are too few."""
-        if not (self._felt and self._seen[body]):
+    def _window(self, body: str, longest: float = _WINDOW, other: str = "") -> list[Seen]:
+        """The newest poses of a body, as old as those of another one, that the robot has felt the time of.
+
+        None if they are too few.
+        """
+        both = [self._felt, *(self._seen[name] for name in (body, other or body))]
+        if not all(both):
             return []
-        end = min(self._felt[-1].time, self._seen[body][-1].time)
+        end = min(newest[-1].time for newest in both)
         start = max(end - longest, self._felt[0].time)
         seen = [one for one in self._seen[body] if start <= one.time <= end]
         return seen if len(seen) >= _LEAST and seen[-1].time - seen[0].time > 0.8 * longest else []
@@ -197,8 +207,9 @@ class Witness:
 
     def _untouchable(self) -> str:
         """How the box contradicts where the robot is, in words."""
-        box, near = self._window(self._names[1]), self._window(self._names[1], _BRIEF)
-        trunk = self._window(self._names[0], _BRIEF)
+        one, other = self._names
+        box, near = self._window(other), self._window(other, _BRIEF, one)
+        trunk = self._window(one, _BRIEF, other)
         if not (near and trunk):
             return ""
         nearest, gap = self._gap(trunk, near)

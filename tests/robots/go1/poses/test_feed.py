@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +18,9 @@ from hypothesis import strategies as st
 
 from amhe_cli.core.rotations import exp, multiply, rotate
 from amhe_cli.robots.go1.link.process import Clock, ClockMap
-from amhe_cli.robots.go1.poses.feed import PoseFeed
+from amhe_cli.robots.go1.poses.feed import PoseFeed, TimedPose, _Sender
 from amhe_cli.robots.go1.poses.gate import Gate, World, check_axes, check_place, offset_pose, tilt_offset
-from amhe_cli.robots.go1.poses.sources import PoseError, UdpPoses, pose_datagram, read_pose
+from amhe_cli.robots.go1.poses.sources import PoseError, Sighting, UdpPoses, pose_datagram, read_pose
 from amhe_cli.robots.go1.settings import Go1Settings, PoseSettings
 from tests.robots.go1.stand_ins import free_port, repeating, udp
 
@@ -56,27 +56,34 @@ def test_poses_come_through_on_our_clock() -> None:
     assert np.ptp(late) < 0.01
 
 
-@pytest.mark.realtime
+def passed_on(*looks: list[Sighting]) -> list[tuple[str, float]]:
+    """Body and place of what the feed's process passes on, of what it sees at each look."""
+    sent: list[tuple[str, float]] = []
+
+    class Sent:
+        def send(self, pose: TimedPose) -> None:
+            sent.append((pose.body, pose.position[0]))
+
+    sender = _Sender(Sent(), CLOCK)  # type: ignore[arg-type]
+    for look in looks:
+        sender.pass_on(look)
+    return sent
+
+
+def at(place: float, stamp: float | None = None, body: str = "go1") -> Sighting:
+    return Sighting(body, np.array([place, 0.0, 0.3]), np.array([1.0, 0.0, 0.0, 0.0]), stamp)
+
+
+def test_of_poses_that_waited_together_the_last_one_has_a_time() -> None:
+    """Others without stamps would be steps in no time, and none of them true."""
+    stamped = [at(float(k), 0.01 * k) for k in range(4)]
+    assert passed_on(stamped) == [("go1", 0.0), ("go1", 1.0), ("go1", 2.0), ("go1", 3.0)]
+    assert passed_on([at(0.0), at(1.0), at(5.0, body="box"), at(2.0)]) == [("box", 5.0), ("go1", 2.0)]
+
+
 def test_a_pose_that_tells_no_time_and_stays_the_same_is_not_new() -> None:
-    port, seen, places = free_port(), [], iter((0.1, 0.1, 0.1, 0.2, 0.2, 0.1))
-    message = '{"body": "%s", "position": [1, 2, %s], "orientation": [1, 0, 0, 0]}'
-    with (
-        udp() as client,
-        PoseFeed("udp", "127.0.0.1", port, Go1Settings(connect_time=20.0)) as feed,
-    ):
-        client.connect(("127.0.0.1", port))
-        end = time.monotonic() + 10.0
-        while not seen and time.monotonic() < end:  # until it listens
-            with suppress(ConnectionRefusedError):
-                client.send((message % ("other", time.monotonic())).encode())
-            seen = feed.poses()
-            time.sleep(0.01)
-        for place in places:
-            client.send((message % ("go1", place)).encode())
-        client.send((message % ("last", 0.0)).encode())
-        while seen[-1].body != "last" and time.monotonic() < end:
-            seen += feed.poses()
-    assert [pose.position[2] for pose in seen if pose.body == "go1"] == [0.1, 0.2, 0.1]
+    looks = [[at(place)] for place in (0.1, 0.1, 0.1, 0.2, 0.2, 0.1)]
+    assert passed_on(*looks) == [("go1", 0.1), ("go1", 0.2), ("go1", 0.1)]
 
 
 @pytest.mark.realtime
@@ -109,7 +116,7 @@ def test_a_source_that_blocks_for_ever_is_given_up() -> None:
 
 _PROGRAM = """
 import sys, time
-from amhe_cli.robots.go1.poses.feed import PoseFeed
+from amhe_cli.robots.go1.poses.feed import PoseFeed, TimedPose, _Sender
 from amhe_cli.robots.go1.settings import Go1Settings
 with PoseFeed("udp", "127.0.0.1", int(sys.argv[1]), Go1Settings(connect_time=20.0)) as feed:
     while not feed._messages():
