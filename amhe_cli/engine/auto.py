@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -136,6 +137,9 @@ def _work_apart() -> None:
     """The other side of `apart`."""
     if hasattr(os, "nice"):
         os.nice(19)
+    if hasattr(os, "SCHED_IDLE"):  # else Linux lets it end its time slice when a rollout could go on
+        with suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     work = pickle.load(sys.stdin.buffer)
 
     def end_with_parent() -> None:
