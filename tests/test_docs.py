@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import base64
+import hashlib
 import re
 import shlex
 import shutil
@@ -128,6 +130,14 @@ def commands(text: str) -> Iterator[str]:
             line = line.removeprefix("$ ").split("  #")[0].strip()
             if re.match(r"amhe [\w-]+(?!.*: error)( |$)", line):
                 yield line
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "gallery").glob("*.html")), ids=lambda p: p.stem)
+def test_a_browser_lets_the_script_of_a_page_of_the_gallery_run(page: Path) -> None:
+    html = page.read_text(encoding="utf-8")
+    (script,) = re.findall(r"<script(?! type)[^>]*>(.*?)</script>", html, re.DOTALL)
+    allowed = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    assert f"script-src 'sha256-{allowed}'" in html
 
 
 def test_the_users_path_is_short_enough() -> None:
