@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Protocol
 
 import numpy as np
 
@@ -40,19 +39,8 @@ _MORE = 3
 #: Logarithm of the odds of an explanation below which it changes no verdict.
 HOPELESS = -10.0
 
-
-class Searched(Protocol):
-    """A search with some data sheets left open, from where another one ended."""
-
-    def __call__(
-        self,
-        wide: Collection[Group],
-        near: Search | None,
-        noise: KnownNoise | None = None,
-        ends: Ends = stalled,
-    ) -> Search:
-        """`noise`, `ends`: as of `Problem`."""
-        ...
+#: A search with some data sheets left open, from where another one ended; `noise`, `ends`: as of `Problem`.
+Searched = Callable[..., Search]
 
 
 @dataclass(frozen=True, eq=False)

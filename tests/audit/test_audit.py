@@ -22,6 +22,7 @@ from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.engine.inverse import forces_along
 from amhe_cli.estimation.core.result import Against
 from amhe_cli.estimation.identification import IdentifyOptions
+from amhe_cli.estimation.uncertainty import misfit as misfits
 from amhe_cli.init.folder import proposed, proposed_as
 from amhe_cli.logs import read_log
 from amhe_cli.report.audit import _against
@@ -284,6 +285,48 @@ def test_what_a_search_that_stopped_may_still_gain_counts_for_its_explanation(
             monkeypatch.setattr(suspects.Explanation, "against", lambda *_, now=now: now)
             assert one.odds(one, wider) == pytest.approx(max(now, min(now + gain / wider**2, 0.0)))
     monkeypatch.undo()
+
+
+@pytest.mark.parametrize(
+    ("odds", "ends"),
+    [([-300.0, -290.0], False), ([-300.0, -299.0], True), ([-5.0, -5.0], False), ([-300.0, -301.0], True)],
+)
+def test_a_search_ends_where_its_last_gain_on_every_step_left_would_change_no_verdict(
+    odds: list[float], ends: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    search: Any = Searching(Found(np.zeros(1)), None, None)
+    problem: Any = SimpleNamespace(settings=SimpleNamespace(identify=SimpleNamespace(iterations=16)))
+    said = iter(odds)
+    monkeypatch.setattr(suspects.Explanation, "against", lambda *_, **__: next(said))
+    monkeypatch.setattr(suspects, "stalled", lambda *_: False)
+    over = suspects.Explanation(search, frozenset(), [])._excludes(frozenset(), 1.0, True)
+    assert not over(problem, SimpleNamespace(first=None)), "it has not seen all clips"
+    states = [SimpleNamespace(first=np.zeros(1), record=[None] * (3 + k)) for k in range(len(odds))]
+    assert [over(problem, state) for state in states] == [False, ends]
+
+
+@pytest.mark.parametrize(
+    ("costs", "enough", "ends"),
+    [
+        ([9.0, 2.0, 2.0, 1.99], None, True), ([9.0, 2.0, 1.5, 1.0], None, False),
+        ([9.0, 2.0, 1.9, 1.8], None, False), ([9.0, 2.0, 1.9, 1.8], 3.0, True), ([1.99], None, False),
+    ],
+)  # fmt: skip
+def test_a_search_stalls_where_its_steps_gain_less_than_noise_or_than_it_may_leave(
+    costs: list[float], enough: float | None, ends: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Twenty independent residuals: a cost that falls by a twentieth has gained one squared noise sd."""
+    residuals = SimpleNamespace(flat=np.zeros((1, 1, 1)), completed=np.ones((1, 1), dtype=bool))
+    cost = SimpleNamespace(
+        nx=0, times=None, clips=SimpleNamespace(counts=np.array([100])), residuals=lambda *_: residuals
+    )
+    monkeypatch.setattr(misfits, "channel_times", lambda *_: (5.0,))
+    problem: Any = SimpleNamespace(clips=(), cost=lambda *_: cost, enough=enough)
+    record = [SimpleNamespace(cost=one, stage="polish") for one in costs]
+    state: Any = SimpleNamespace(
+        first=np.zeros(1), number=len(costs) + 2, scale={}, z=np.zeros(1), record=record
+    )
+    assert misfits.stalled(problem, state) == ends
 
 
 @pytest.mark.parametrize("wider", [1.0, 2.0])

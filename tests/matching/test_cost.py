@@ -13,7 +13,7 @@ from amhe_cli.core.settings import CostSettings
 from amhe_cli.core.signals import Series
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Predicted
-from amhe_cli.estimation.core.information import information, objective
+from amhe_cli.estimation.core.information import channel_times, information, objective
 from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, averaged, linearise
 from amhe_cli.estimation.design.information import rescaled
 from amhe_cli.matching.cost import MatchingCost, quadratic_prior
@@ -71,6 +71,17 @@ def test_clips_whose_noise_was_another_are_those_that_are_laid_out_with_it():
     again = cost(windows).scaled(first).scaled(second)
     np.testing.assert_allclose(again.residuals(z).flat, anew.residuals(z).flat, rtol=1e-12)
     np.testing.assert_allclose(again.as_declared(again.residuals(z)), cost(windows).costs(z), rtol=1e-12)
+
+
+def test_a_known_noise_stays_whatever_residuals_show():
+    """Its autocorrelation times count, and not those of residuals; of some of the clips, too."""
+    scale, matching = {"cube.position": 2.0}, cost([Window(toss(), 0, 100), Window(toss(seed=1), 30, 60)])
+    times = {o.channel.key: 3.0 + k for k, o in enumerate(matching.clips.observed)}
+    known = matching.under(scale, times).of(np.array([1]))
+    residual = known.residuals(np.zeros((1, 4))).flat[0]
+    assert known.noise_scale == scale
+    assert channel_times(known, residual, np.ones(1, dtype=bool)) == tuple(times.values())
+    assert matching.times is None and matching.noise_scale == {}
 
 
 def test_misfit_away_from_it():
