@@ -27,6 +27,8 @@ logger = logging.getLogger(__name__)
 
 #: Least half edge of a box in place of a mesh [m].
 _THIN = 1e-3
+#: Share of a moment of inertia that the rounding of a file may hide.
+_ROUNDING = 1e-3
 
 
 def read_spec(path: Path, urdf: UrdfOptions | None = None) -> mujoco.MjSpec:
@@ -71,13 +73,15 @@ def _mended(spec: mujoco.MjSpec) -> list[str]:
             given[places] = given.T[places] = body.fullinertia
         if not (body.explicitinertial and np.isfinite(given).all()) or (of_shapes and body.geoms):
             continue
-        inertia, matters = possible_inertia(given, float(body.mass))
-        if inertia is not given:
+        least, middle, most = np.linalg.eigvalsh(given)
+        if least < 0.0 or least + middle < most:
+            inertia, _ = possible_inertia(given, float(body.mass))
             if whole:
                 body.fullinertia = inertia[places]
             else:
                 body.inertia = inertia.diagonal()
-            found += [body.name or "a body"] * matters
+            if least < 0.0 or least + middle < (1.0 - _ROUNDING) * most:
+                found.append(body.name or "a body")
     return found
 
 

@@ -182,26 +182,23 @@ def _mended(link: ElementTree.Element) -> bool:
         raise ConfigError(f"link {link.get('name', '')!r}: its inertial: {error}") from None
     if not np.isfinite([mass, *inertia.ravel()]).all():
         raise ConfigError(f"link {link.get('name', '')!r}: its mass or inertia is not finite")
-    mended, matters = possible_inertia(inertia, mass, 1e-9)  # MuJoCo finds the axes, and rounds
-    if mended is not inertia:
-        for name, place in INERTIA.items():
-            element.set(name, repr(float(mended[place])))
-    return matters
+    mended, moments = possible_inertia(inertia, mass)
+    if moments[0] > 1e-9 * moments[2]:
+        return False
+    for name, place in INERTIA.items():
+        element.set(name, repr(float(mended[place])))
+    return mass > 1e-3 and bool(moments[0] < -1e-3 * np.abs(moments).max())
 
 
-def possible_inertia(inertia: FloatArray, mass: float, flat: float = 0.0) -> tuple[FloatArray, bool]:
-    """An inertia [kg m^2], or the nearest (3, 3) that a body of that mass [kg] can have; whether they differ.
+def possible_inertia(inertia: FloatArray, mass: float) -> tuple[FloatArray, FloatArray]:
+    """The nearest inertia (3, 3) that a body of some mass [kg] can have, to one that none can [kg m^2].
 
     The second moments of a body's mass along its principal axes are not negative: those of tr(I) / 2 - I.
-    They are raised to those of a small cube where the least is negative, or below the share `flat` of the
-    largest. What the rounding of a file may hide is no difference, nor is anything of hardly any mass.
+    They are raised to those of a small cube. Those of the given one are returned, too, (3,), the least first.
     """
     moments, axes = np.linalg.eigh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
-    if moments[0] > flat * moments[2] if flat else moments[0] >= 0.0:
-        return inertia, False
     raised = np.maximum(moments, max(1e-6 * mass, 1e-12)) if mass > 0.0 else np.zeros(3)
-    matters = mass > 1e-3 and bool(moments[0] < -1e-3 * np.abs(moments).max())
-    return raised.sum() * np.eye(3) - (axes * raised) @ axes.T, matters
+    return raised.sum() * np.eye(3) - (axes * raised) @ axes.T, moments
 
 
 def report_mended(path: Path, names: Sequence[str]) -> None:
