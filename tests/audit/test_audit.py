@@ -321,12 +321,15 @@ def test_a_search_stalls_where_its_steps_gain_less_than_noise_or_than_it_may_lea
         nx=0, times=None, clips=SimpleNamespace(counts=np.array([100])), residuals=lambda *_: residuals
     )
     monkeypatch.setattr(misfits, "channel_times", lambda *_: (5.0,))
-    problem: Any = SimpleNamespace(clips=(), cost=lambda *_: cost, enough=enough)
+    system = SimpleNamespace(match="motion")
+    problem: Any = SimpleNamespace(clips=(), cost=lambda *_: cost, enough=enough, system=system)
     record = [SimpleNamespace(cost=one, stage="polish") for one in costs]
     state: Any = SimpleNamespace(
         first=np.zeros(1), number=len(costs) + 2, scale={}, z=np.zeros(1), record=record
     )
     assert misfits.stalled(problem, state) == ends
+    system.match = "effort"
+    assert not misfits.stalled(problem, state)
 
 
 @pytest.mark.parametrize("wider", [1.0, 2.0])

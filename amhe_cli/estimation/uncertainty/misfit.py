@@ -73,8 +73,8 @@ def stalled(problem: Problem, state: SearchState) -> bool:
 
     Of one that may end with a step of so many sd, they have gained no more than such a step would.
     """
-    if state.first is None or state.number < ROUGHLY + STALLED:
-        return False  # it has not seen all clips so often
+    if state.first is None or state.number < ROUGHLY + STALLED or problem.system.match == "effort":
+        return False  # it has not seen all clips so often; efforts take no time, and their slopes hold
     cost = problem.cost(problem.clips, state.scale)
     residuals = cost.residuals(state.z[None], state.first.mean[None] if cost.nx else None)
     times = channel_times(cost, residuals.flat[0], residuals.completed[0])
