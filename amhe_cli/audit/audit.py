@@ -27,6 +27,7 @@ from amhe_cli.audit.suspects import (
     Explanation,
     Searched,
     findings_of,
+    over,
     rows_of,
     sheets_of,
     without_suspects,
@@ -277,7 +278,9 @@ def _judgement(
     evidence = findings_of(space, at, found.unbounded, found.information, found.belief.covariance)
     wider, tests = _wider(found), []
     odds = _once({first: 0.0} | {one: one.odds(first, wider) for one in others})
-    evidence = evidence.under_noise(wider)  # its ledger has the step that is left
+    evidence = evidence.under_noise(wider)
+    if not over(first.search):  # its ledger has the step that is left, and it stopped on its way
+        evidence = evidence.unsure(first.to_go[0])
     for one in odds:
         findings = evidence if one is first else one.evidence.under_noise(wider).unsure(one.to_go[0])
         system = one.search.problem.system

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
@@ -147,19 +147,20 @@ class Explanation:
         other = other.further(lambda one: not one.hopeless(self, wider))
         if other.hopeless(self, wider):
             return None, over(other.search)
+
+        def under_noise(wide: Collection[Group], near: Search | None) -> Search:
+            return searched(wide, near, noise, self._excludes(frozenset(wide), wider, False))
+
         few = next(iter(wrong_sheets(other.evidence, other.sheets, right=believed)))
-        ends = self._excludes(few, wider, False)
-        search, wrong = without_suspects(
-            partial(searched, noise=noise, ends=ends), self.claims, few, other.search, believed
-        )
+        search, wrong = without_suspects(under_noise, self.claims, few, other.search, believed)
         other = Explanation(_ended(search), wrong, self.claims)
         other = other.further(lambda one: one.against(self, wider) > 0.0)
         return other, over(other.search)
 
     def _excludes(self, wrong: frozenset[Group], wider: float, least: bool) -> Ends:
-        """Whether a search stalls, or stays hopeless if each step gains as much as the last.
+        """Of one search, whether it stalls, or stays hopeless if each step gains as much as the last.
 
-        Arguments as of `against`.
+        `wrong`: the sheets that it leaves open. Other arguments as of `against`.
         """
         before = list[float]()
 
@@ -202,6 +203,8 @@ def _misfit(fit: FinalFit, of: Search, few: Problem | None) -> float:
     problem, own, began = few or fit.problem, of.problem, getattr(of.finding, "first", None)
     space, weight = problem.system.space, np.ones(len(problem.clips)) if few else fit.weight
     cost = problem.cost(problem.clips, fit.finding.scale)
+    if few:  # not what its own search takes for noise
+        cost = cost.scaled(fit.finding.scale)
     z = space.z_of(own.system.space.theta_of(of.finding.z))
     if began is not None and places(own.clips) == places(problem.clips):
         first = began.mean[None]

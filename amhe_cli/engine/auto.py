@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import pickle
+import signal
 import subprocess
 import sys
 import threading
@@ -118,6 +119,9 @@ def apart(work: Callable[[], object]) -> None:
 
     Args:
         work: What to do; it is pickled.
+
+    Raises:
+        SimulationError: The process failed.
     """
     code = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import _work_apart; _work_apart()"
     child = subprocess.Popen(
@@ -127,14 +131,17 @@ def apart(work: Callable[[], object]) -> None:
         stderr=subprocess.DEVNULL,
     )
     assert child.stdin is not None
-    with child, child.stdin:
+    with child, suppress(BrokenPipeError), child.stdin:
         child.stdin.write(pickle.dumps(work))
         child.stdin.flush()
         child.wait()  # before its stdin closes, by which it sees that this process has ended
+    if child.returncode:
+        raise SimulationError("the process that compiles kernels of the graphics card failed")
 
 
 def _work_apart() -> None:
     """The other side of `apart`."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # its parent decides what an interrupt ends
     if hasattr(os, "nice"):
         os.nice(19)
     if hasattr(os, "SCHED_IDLE"):  # else Linux lets it end its time slice when a rollout could go on

@@ -21,7 +21,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.engine.inverse import forces_along
 from amhe_cli.estimation.core.result import Against
-from amhe_cli.estimation.identification import IdentifyOptions
+from amhe_cli.estimation.identification import IdentifyOptions, searched_for
 from amhe_cli.estimation.uncertainty import misfit as misfits
 from amhe_cli.init.folder import proposed, proposed_as
 from amhe_cli.logs import read_log
@@ -260,6 +260,48 @@ def test_a_search_that_has_not_ended_goes_on_before_it_excludes_anything(
     other, over = first.rival(lambda *_: stopped.search, lambda *_: stopped.search, ("arm", "mass"), 1.0)
     assert over and (other is None or other.search is went_on.search)
     assert (other is None) == (later < suspects.HOPELESS), "only where it ended shows what it explains"
+
+
+def test_each_search_for_something_else_ends_by_the_odds_of_the_sheets_that_it_leaves_open(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    mass, gain = frozenset({("arm", "mass")}), frozenset({("arm", "gain")})
+    space = SimpleNamespace(phi_of=np.asarray, nominal=np.zeros(1), prior_sd=np.ones(1), clip=np.asarray)
+    search: Any = Searching(Found(np.zeros(1)), SimpleNamespace(), SimpleNamespace(interrupted=False))
+    search.problem.system = SimpleNamespace(space=space)
+    asked = []
+
+    def searched(wide: Any, near: Any, noise: Any, ends: Any) -> Any:
+        asked.append((frozenset(wide), ends))
+        return search
+
+    def several(searched: Any, claims: Any, wrong: Any, near: Any, right: Any) -> Any:
+        return [searched(sheets, near) for sheets in (wrong, [*gain], wrong)][-1], wrong
+
+    sheets = SimpleNamespace(groups={("arm", "mass"): [0]}, file=np.zeros(1))
+    for name, stub in (
+        ("sheets", sheets), ("evidence", None), ("to_go", (np.zeros(1), 0.0)),
+        ("against", lambda *_, **__: 0.0), ("_excludes", lambda self, *given: given),
+    ):  # fmt: skip
+        monkeypatch.setattr(suspects.Explanation, name, stub)
+    monkeypatch.setattr(Searching, "fit", None, raising=False)
+    monkeypatch.setattr(suspects, "noise_of", lambda *_: None)
+    monkeypatch.setattr(suspects, "over", lambda _: True)
+    monkeypatch.setattr(suspects, "wrong_sheets", lambda *_, **__: [mass])
+    monkeypatch.setattr(suspects, "without_suspects", several)
+    suspects.Explanation(search, frozenset(), []).rival(searched, searched, ("arm", "mass"), 4.0)
+    assert [wide for wide, _ in asked[1:]] == [mass, gain, mass]
+    assert [ends for _, ends in asked[1:]] == [(sheets, 4.0, False) for sheets in (mass, gain, mass)]
+
+
+def test_what_few_clips_say_is_judged_under_the_noise_of_the_first_explanation() -> None:
+    """And not under that for which their own search takes it, which `against` divides by once more."""
+    system = System.load("pendulum", {"clips": {"count": 4}, "identify": {"iterations": 2}})
+    logs = [read_log("example:pendulum", system)]
+    search = searched_for(system, logs, None, IdentifyOptions(threads=1), quick=True, clips=3)
+    loud = replace(search.problem, noise=suspects.noise_of(search.fit, 4.0))
+    alone = suspects._misfit(search.fit, search, search.problem)
+    assert suspects._misfit(search.fit, search, loud) == pytest.approx(alone, rel=0.01)
 
 
 def test_what_a_search_that_stopped_may_still_gain_counts_for_its_explanation(

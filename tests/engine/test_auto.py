@@ -227,11 +227,16 @@ def test_a_call_that_the_cards_refuse_goes_to_the_processor_and_so_do_all_others
     ]
 
 
-def test_work_apart_takes_what_cores_have_left_and_ends_with_its_parent(tmp_path) -> None:
+def test_work_apart_takes_what_cores_have_left_and_ends_with_its_parent(tmp_path, monkeypatch) -> None:
     done = tmp_path / "done"
     about = "f'{os.nice(0)} {os.sched_getscheduler(0)}'"
     apart(partial(exec, f"import os; open({str(done)!r}, 'w').write({about})"))
     assert done.read_text() == f"19 {os.SCHED_IDLE}"
+    with pytest.raises(SimulationError, match="^the process that compiles .* failed$"):
+        apart(partial(exec, "1 / 0"))
+    with pytest.raises(SimulationError, match="failed$"), monkeypatch.context() as without:
+        without.setattr(sys, "executable", "/bin/false")
+        apart(partial(len, bytes(10**7)))  # which no pipe holds
     code = """
 import functools, os, threading, time
 from amhe_cli.engine import auto

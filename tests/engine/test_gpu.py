@@ -172,8 +172,13 @@ def test_kernels_compile_apart_once_for_each_model(monkeypatch, tmp_path, caplog
     caplog.set_level(NOTE, "amhe_cli")
     other = copy.copy(PENDULUM.model)
     other.opt.timestep *= 0.5
-    for model in (PENDULUM.model, PENDULUM.model, other, PENDULUM.model):
-        edits = PENDULUM.edits.upon(model)
+    narrow = System.load("pendulum", {"parameters": {"load_mass": {"prior_sd": 0.01}}}).edits
+    for edits, model in zip(
+        (PENDULUM.edits, narrow, PENDULUM.edits, PENDULUM.edits),
+        (PENDULUM.model, PENDULUM.model, other, PENDULUM.model),
+        strict=True,
+    ):
+        edits = edits.upon(model)
         compile_apart((model, edits, PENDULUM.input_spec, False, DEVICES[:1]), 3000, 4)
     assert [(model.opt.timestep, *given) for model, *given in compiled] == [
         (PENDULUM.model.opt.timestep, 3000, 4),

@@ -210,7 +210,11 @@ def compile_apart(about: tuple[Any, ...], count: int, compilers: int) -> None:
 
     wp.config.log_level = wp.LOG_WARNING
     wp.init()
-    key = hashlib.sha256(pickle.dumps((versions(), version("mujoco-warp"), about)))
+    model, edits, input_spec, sensors, devices = about
+    cards = [wp.get_device(device).arch for device in devices]
+    fields = Blueprint.of(model, edits, input_spec, sensors).own  # values and priors are in no kernel
+    needs = versions(), version("mujoco-warp"), model, fields, input_spec, sensors, cards
+    key = hashlib.sha256(pickle.dumps(needs))
     mark = Path(str(wp.config.kernel_cache_dir), f"amhe-{key.hexdigest()[:16]}")
     if not mark.exists():
         logger.log(

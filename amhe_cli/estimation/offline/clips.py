@@ -91,7 +91,7 @@ class ClipPool:
 
     Args:
         system: The system, which defines the series that a clip needs.
-        parts: Parts of logs in which clips may lie; of a log in pieces, such as throws, the pieces.
+        parts: Parts of logs in which clips may lie.
         settings: Lengths of clips, and when a clip is motionless.
         motionless, across_gaps: Number of clips that `cut` has dropped for either reason.
     """
@@ -104,8 +104,10 @@ class ClipPool:
     _usable: dict[int, BoolArray] = field(default_factory=dict)
     _noise: dict[tuple[int, str], float] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        self.parts = [piece for part in self.parts for piece in self._pieces(part)]
+    @property
+    def _places(self) -> list[Window]:
+        """Where clips may lie: the parts, or of a log in short pieces, such as throws, the pieces."""
+        return [piece for part in self.parts for piece in self._pieces(part)]
 
     def _pieces(self, part: Window) -> list[Window]:
         """A part, or its stretches without a gap where none of them has room for two usual clips."""
@@ -130,14 +132,15 @@ class ClipPool:
 
     def draw(self, rng: np.random.Generator, count: int) -> list[Window]:
         """At most `count` clips of random start and length; unusable ones are drawn again."""
-        steps = np.array([part.length for part in self.parts], dtype=float)
+        places = self._places
+        steps = np.array([place.length for place in places], dtype=float)
         if steps.sum() <= 0.0:
             return []
         clips: list[Window] = []
         for _ in range(10 * count):
             if len(clips) == count:
                 break
-            part = self.parts[rng.choice(len(steps), p=steps / steps.sum())]
+            part = places[rng.choice(len(steps), p=steps / steps.sum())]
             length = _steps(rng.uniform(*self.settings.length), part)
             start = int(rng.integers(part.start, part.stop - length + 1))
             clip = Window(part.log, start, length)
@@ -153,7 +156,7 @@ class ClipPool:
             first_only: Only the first clip of each part.
         """
         clips: list[Window] = []
-        for part in self.parts:
+        for part in self.parts if first_only else self._places:
             length = _steps(seconds, part)
             stop = min(part.stop, part.start + length) if first_only else part.stop
             for start in range(part.start, stop - length + 1, length) if length else ():

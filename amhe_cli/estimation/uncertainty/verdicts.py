@@ -121,7 +121,8 @@ def verdict_of(ledger: Ledger, i: int, own: Collection[str], *, misses: bool) ->
     given = sum(variance for variance, _ in rests)
     # of a ratio that logs show, more data leave nothing but the other's prior, however wide the own one is;
     # where logs tell both apart, more data take that part away
-    borrowed = sum(variance for variance, source in rests if source.parameter)
+    priors = [(variance, source) for variance, source in rests if source.parameter]
+    borrowed = sum(variance for variance, _ in priors)
     contradictions = ledger.variance(i, CONTRADICTIONS)
     contradictions += sum(variance for variance, _ in ledger.given(i, own, doubted=True))
     more = DOUBT**2 - 1.0  # of a variance whose sd is so many times as large
@@ -136,7 +137,7 @@ def verdict_of(ledger: Ledger, i: int, own: Collection[str], *, misses: bool) ->
     if stays and shrinkage(total + more * (given + contradictions)) >= DETERMINED:
         return "identified", ""
     if shrinkage(total - given + more * contradictions) >= DETERMINED:
-        return "conditional", _given(rests[0][1])
+        return "conditional", _given((rests if stays else priors)[0][1])
     if shrinkage(total - contradictions) >= DETERMINED:
         return "model-sensitive", ""
     # two solutions are two values, not none

@@ -136,6 +136,12 @@ def test_a_number_that_somebody_gave_must_be_half_as_good_as_he_says(
     assert mass(evidence(0.21, given(error))).verdict in ("weak", "prior"), "the logs do not determine it"
 
 
+def test_a_prior_that_decides_is_named_where_an_assumed_number_owes_more() -> None:
+    assert mass(evidence(0.05, assumed(0.06))).verdict == "identified"
+    result = mass(evidence(0.05, assumed(0.06), priors(0.05)))
+    assert (result.verdict, result.given) == ("conditional", "your prior of friction, 0.6")
+
+
 @pytest.mark.parametrize("wide", [0.5, 1.0, 4.0])
 def test_a_ratio_is_not_identified_by_an_own_prior_that_is_wide(wide: float) -> None:
     """The logs show friction over gain to 1 %, and the gain is known to 10 %; or they show both to 1 %."""
