@@ -17,8 +17,10 @@ _LEAD, _AIR = 11_340.0, 5.0
 _SCREWS = 3e-3
 #: Share of the mass of what is welded together from which a body has numbers that matter.
 WORTHWHILE = 0.05
-#: A range [rad] that is as good as none, and not one in degrees.
+#: A range [rad] that is as good as none, and not one in degrees; and those of a hinge between a lock and one
+#: of radians that were taken for degrees.
 _UNLIMITED = 1e3
+_LOCKED, _NARROW = 1e-3, float(np.radians(6.0))
 #: How far a centre of mass may lie outside of the shape, as a share of its size.
 _OUTSIDE = 0.15
 #: Radius of gyration over half the diagonal of the shape: between a point and a ring around it.
@@ -261,7 +263,10 @@ def _limits(model: mujoco.MjModel, joints: IntArray) -> Iterator[Doubt]:
     for joint in joints[model.jnt_limited[joints] > 0]:
         width = float(np.ptp(model.jnt_range[joint]))
         size = _if(width < _UNLIMITED, width / (8.0 * np.pi))
-        yield "range", _name(model, "joint", joint), f"its range is {width:.3g} rad", size
+        name, hinge = _name(model, "joint", joint), model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
+        yield "range", name, f"its range is {width:.3g} rad", size
+        narrow = _if(hinge and width > _LOCKED, _NARROW / max(width, _LOCKED))
+        yield "range", name, f"its range is {np.degrees(width):.2g} degrees", narrow
 
 
 def _weight(model: mujoco.MjModel, joints: IntArray) -> FloatArray:

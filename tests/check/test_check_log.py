@@ -239,6 +239,7 @@ SPOILT = {
     "gain in counts": (('kp="20"', 'kp="20000"'), "stiff", "right_hand"),
     "limit of the motor": (('forcerange="-9 9"', 'forcerange="-.1 .1"'), "weak", "right_arm"),
     "targets in degrees": (('kp="20" ', 'kp="20" ctrlrange="-90 90" '), "range", "right_hand"),
+    "range in radians taken for degrees": (('range="-90 90"', 'range="-1.57 1.57"'), "range", "right_arm"),
     "axes of another frame": (
         (RIGHT_HAND, RIGHT_HAND.replace(".0007 .0007 .0001", ".0001 .0007 .0007")), "axes", "right_hand",
     ),
