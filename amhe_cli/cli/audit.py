@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -153,8 +154,10 @@ def _logs(session: Session, model: Path, given: Given) -> None:
     session.interrupted = found.found.interrupted
     record = session.record(out=str(folder), model=str(model))
     write_audit(
-        folder, model, logs, found, given.write, record, session.command_line, given.seed, given.force
-    )
+        folder, model, logs, found, given.write, record, session.command_line, given.seed, given.force,
+        # in backquotes still, which a page has as code
+        lambda text: re.sub("`[^`]+`", lambda m: f"`{in_options(m[0], session.options).strip('`')}`", text),
+    )  # fmt: skip
     _print(session, found.lines, record, found)
 
 
@@ -170,8 +173,8 @@ def _print(session: Session, lines: Any, record: dict[str, object], found: Audit
     if judged:
         console.print(rich_table(audit_table(judged), STYLES))
         console.print()
-    if beside := [one for one in found.beside if one.verdict != "prior"] if found else []:
-        console.print(rich_table(beside_table(beside), KNOWN))
+    if found and found.beside:
+        console.print(rich_table(beside_table(found.beside), KNOWN))
         console.print()
     if found and found.found.missing:
         print_missing(found.found.missing, console)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -22,7 +22,7 @@ from amhe_cli.report.identification import held_out_line
 from amhe_cli.report.identification_page import overlay_section
 from amhe_cli.report.missing import missing_record, missing_section
 from amhe_cli.report.page import Section, Statement, result_page
-from amhe_cli.report.tables import NUMBER, STRONG, VERDICT, Table
+from amhe_cli.report.tables import NUMBER, ONCE, STRONG, VERDICT, Table
 from amhe_cli.system.export.mjcf import identified_assets, identified_xml, with_comments
 from amhe_cli.system.export.urdf import identified_urdf
 from amhe_cli.system.model.urdf import is_urdf
@@ -30,26 +30,36 @@ from amhe_cli.system.provenance import provenance
 
 #: Colour of each verdict.
 STYLES = {"contradicted": "red", "agrees": "green", "cannot tell": "dim"}
+#: What stands in the columns of the table.
+_COLUMNS = (
+    "In the log: what it says of a number whatever the file says of it, with all other numbers as their "
+    "data sheets have them. Contradicted: 5 % of right files have such a verdict by chance. Of the forces: "
+    "what the difference is worth, as a share of the joints' forces along the motion. More than 100 %: with "
+    "the file's number they would differ by more than all the force that the joints gave."
+)
 
 
 def audit_table(lines: Sequence[Line]) -> Table:
     """The numbers of a file, and what the log says of them; a part is named once."""
-    rows, before = [], None
+    rows = []
     for line in lines:
-        same, before = (line.verdict, line.of) == before, (line.verdict, line.of)
         wrong, judged = line.verdict == VERDICTS[0], line.verdict != VERDICTS[2]
-        says = judged or line.sd < abs(line.file)
         rows.append(
             (
-                "" if same else line.of, line.what,
+                line.of, line.what,
                 f"{line.verdict}: {abs(line.t):.1f} sd" if judged else line.verdict,
                 numbers.quantity(f"{line.file:.4g}", line.unit),
-                numbers.with_sd(line.log, line.sd) if says else numbers.MISSING,
+                numbers.with_sd(line.log, line.sd) if _shown(line) else numbers.MISSING,
                 numbers.percent(line.weight) if wrong else "",
             )
         )  # fmt: skip
     head = ("part", "number", "verdict", "in the file", "in the log", "of the forces")
-    return Table(head, ("", "", VERDICT, NUMBER, STRONG, NUMBER), rows, [line.cure for line in lines])
+    return Table(head, (ONCE, "", VERDICT, NUMBER, STRONG, NUMBER), rows, [line.cure for line in lines])
+
+
+def _shown(line: Line) -> bool:
+    """Whether a log says anything of a number: else its value is what arithmetic left."""
+    return line.verdict != VERDICTS[2] or line.sd < abs(line.file)
 
 
 def beside_table(found: Sequence[ParameterResult]) -> Table:
@@ -117,7 +127,8 @@ def count_text(lines: Sequence[Line]) -> str:
 
 def audit_record(lines: Sequence[Line], found: Audit | None) -> dict[str, Any]:
     """The keys of `amhe audit --json` and audit.json."""
-    listed = {"numbers": [asdict(line) for line in lines]}
+    silent = {"log": None, "sd": None}
+    listed = {"numbers": [asdict(line) | ({} if _shown(line) else silent) for line in lines]}
     if found is None:
         return plain(listed)
     held_out, missing = found.found.held_out, missing_record(found.found.missing)
@@ -148,6 +159,7 @@ def write_audit(
     command: str,
     seed: int,
     force: bool,
+    typed: Callable[[str], str],
 ) -> None:
     """Write audit.json, report.html and robot.audited.xml or .urdf, all or none.
 
@@ -160,11 +172,12 @@ def write_audit(
         record: Head of audit.json.
         command, seed: How it was made.
         force: Write into a folder that is not empty.
+        typed: A text of the library as the user of the command reads it.
     """
     origin = provenance(command, seed, "linearised", found.system, logs, ())
     record = {**record, **audit_record(found.lines, found)}
     taken = _taken(found.lines, chosen)
-    with results(folder, lambda: _page(found, model, record, origin), force) as scratch:
+    with results(folder, lambda: _page(found, model, record, origin, typed), force) as scratch:
         (scratch / "audit.json").write_text(json_text(record), encoding="utf-8")
         if not taken:
             return
@@ -198,9 +211,16 @@ def _taken(lines: Sequence[Line], chosen: Sequence[str]) -> list[Line]:
     return [line for line in lines if any(fnmatchcase(line.parameter, pattern) for pattern in chosen)]
 
 
-def _page(found: Audit, model: Path, record: Mapping[str, Any], origin: Mapping[str, Any]) -> str:
+def _page(
+    found: Audit,
+    model: Path,
+    record: Mapping[str, Any],
+    origin: Mapping[str, Any],
+    typed: Callable[[str], str],
+) -> str:
     wrong = [line for line in found.lines if line.verdict == VERDICTS[0]]
     untold = [line for line in found.lines if line.verdict == VERDICTS[2]]
+    judged = [line for line in found.lines if line not in untold]
     rest = Section(
         f"{len(untold)} numbers that these logs cannot tell", table=audit_table(untold), folded=True
     )
@@ -212,15 +232,15 @@ def _page(found: Audit, model: Path, record: Mapping[str, Any], origin: Mapping[
         )
         for line in wrong[: numbers.MOST_NAMES]
     ]
-    statements += [Statement("bad", f"{text[0].upper()}{text[1:]}.") for text in _against(found.found)]
+    statements += [
+        Statement("bad", f"{text[0].upper()}{text[1:]}.") for text in map(typed, _against(found.found))
+    ]
     sections = [
         Section(
             "The numbers of the file",
-            text="In the log: what it says of a number whatever the file says of it, with all other numbers "
-            "as their data sheets have them. Contradicted: 5 % of right files have such a verdict by chance. "
-            "Of the forces: what the difference is worth, as a share of the joints' forces along the motion."
+            text=(_COLUMNS if judged else "These logs contradict no number of the file, and confirm none.")
             + "".join(f" {text[0].upper()}{text[1:]}." for text in _compared(found.found)),
-            table=audit_table([line for line in found.lines if line not in untold]),
+            table=audit_table(judged) if judged else None,
         ),
         *[rest] * bool(untold),
         *[

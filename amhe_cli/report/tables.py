@@ -20,6 +20,8 @@ NUMBER = "number"
 STRONG = "number strong"
 #: Look of verdicts: on a page a chip in the colour of the text up to a colon.
 VERDICT = "judged"
+#: Look of names of which a wide table shows repeats once; on a phone each row has its own.
+ONCE = "once"
 #: A look of sentences, which may take several lines of a terminal.
 TEXT = "text"
 
@@ -58,8 +60,14 @@ def rich_table(table: Table, styles: Mapping[str, str] | None = None) -> rich.ta
     for name, look in zip(table.head, table.looks, strict=True):
         side = "right" if "number" in look else "left"
         made.add_column(name, justify=side, no_wrap=look != TEXT, overflow="fold")
+    above: Sequence[str] = [""] * len(table.head)
     for row in table.rows:
-        made.add_row(*(Text(text, style=(styles or {}).get(text.partition(":")[0], "")) for text in row))
+        cells = (
+            "" if (look, text) == (ONCE, old) else text
+            for look, text, old in zip(table.looks, row, above, strict=True)
+        )
+        made.add_row(*(Text(text, style=(styles or {}).get(text.partition(":")[0], "")) for text in cells))
+        above = row
     return made
 
 

@@ -1,6 +1,8 @@
 """`amhe audit` from the outside: logs with torques, logs with commands, two files, a result."""
 
 import json
+import re
+from html import unescape
 from pathlib import Path
 
 import mujoco
@@ -9,6 +11,7 @@ import pytest
 
 from amhe_cli.cli.main import run
 from amhe_cli.engine.inverse import forces_along
+from amhe_cli.estimation.uncertainty import misfit
 from amhe_cli.system.model.files import compiled, read_spec
 
 ROOT = Path(__file__).parents[2]
@@ -113,6 +116,30 @@ def test_a_urdf_keeps_its_text_but_for_what_was_contradicted(tmp_path: Path, cap
         assert value == pytest.approx(lines[name]["log"], rel=1e-4)
         assert abs(value - truth) < 3.0 * lines[name]["sd"]
     assert model.body("lower").mass[0] == 0.8
+
+
+@pytest.mark.medium
+def test_a_log_that_no_value_explains(tmp_path: Path, capsys, monkeypatch) -> None:
+    """Nothing is judged: page and terminal have the same reason, setting and offsets, and JSON no junk."""
+    model, log = spoilt(tmp_path)
+    rows = np.loadtxt(log, delimiter=",", skiprows=1)
+    monkeypatch.setattr(misfit, "NOISY", np.inf)  # however much is missed, noise is offered
+    rows[:, 3:] += 3.0 * np.sin(7.3 * rows[:, :1])
+    head, out = log.read_text().split("\n")[0], tmp_path / "out"
+    np.savetxt(log, rows, fmt="%.6g", delimiter=",", header=head, comments="")
+    assert run(["audit", str(model), str(log), "-o", str(out), "-q", "--threads", "1"]) == 0
+    said, page = capsys.readouterr().out, unescape((out / "report.html").read_text())
+    assert "0 contradicted, 0 agree" in said
+    assert "These logs contradict no number of the file, and confirm none." in page
+    assert not re.search(r"<tbody>\s*</tbody>", page)
+    advice, plain = re.findall(r"--set signals\.torque\.noise\.effort=\S+", said), re.sub("<[^>]+>", "", page)
+    assert advice and all(one in plain for one in advice)
+    for offset in ("shoulder_torque_offset", "elbow_torque_offset"):
+        assert offset in said and offset in page
+    numbers = json.loads((out / "audit.json").read_text())["numbers"]
+    (along,) = [one for one in numbers if one["parameter"] == "upper_center_of_mass_y"]
+    assert along["log"] is along["sd"] is None
+    assert all(one["sd"] is None or one["sd"] < abs(one["file"]) for one in numbers)
 
 
 @pytest.mark.medium

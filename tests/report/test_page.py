@@ -28,7 +28,7 @@ from amhe_cli.report.folder import results
 from amhe_cli.report.page import Section, Statement, page, result_page
 from amhe_cli.report.replay import windows_line
 from amhe_cli.report.replay_files import _together
-from amhe_cli.report.tables import NUMBER, PlainConsole, Table, rich_table
+from amhe_cli.report.tables import NUMBER, ONCE, PlainConsole, Table, rich_table
 from tests.web.figures import panels
 
 TABLE = Table(("name", "mass", "goal"), ("name", NUMBER, ""), [("a<b", "4.0", "NO"), ("c", "5.0", "yes")])
@@ -83,6 +83,24 @@ def test_a_table_for_a_terminal_has_its_numbers_flush_right() -> None:
     lines = [line.rstrip() for line in out.getvalue().splitlines()]
     assert lines[-2].endswith("   4")
     assert lines[-1].endswith("10.5")
+
+
+def test_a_part_stands_once_in_a_wide_table_and_in_every_row_on_a_phone() -> None:
+    rows = [("arm", "mass", "1", "2"), ("arm", "damping", "3", "4"), ("hand", "mass", "5", "6")]
+    table = Table(("part", "number", "file", "log"), (ONCE, "", NUMBER, NUMBER), rows)
+    html = made(Section("Numbers", table=table))
+    assert re.findall(r'class="(once[^"]*)">(\w+)<', html) == [
+        ("once", "arm"), ("once again", "arm"), ("once", "hand"),
+    ]  # fmt: skip
+    assert "\n.again { color: transparent; }" in html and ".cards .again { color: inherit; }" in html
+    out = io.StringIO()
+    Console(file=out, width=60).print(rich_table(table))
+    assert out.getvalue().count("arm") == out.getvalue().count("hand") == 1
+
+
+def test_contents_take_several_lines_on_a_phone() -> None:
+    html = made(*(Section(name) for name in ("Held out", "Data", "What is missing", "Next")))
+    assert re.search(r"\nnav {[^}]*flex-wrap: wrap", html) and not re.search(r"nav {[^}]*nowrap", html)
 
 
 def test_columns_can_be_left_out() -> None:
