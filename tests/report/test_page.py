@@ -290,8 +290,8 @@ def test_a_bodys_position_is_in_metres_and_true_values_are_words() -> None:
     cells = texts(shown)
     assert cells[cells.index("box.position") + 4] == "m"
     assert {panel["title"]: panel.get("unit") for panel in panels(shown)}["box.position"] == "m"
-    assert cells[cells.index("joints.position") + 4] == "rad"
-    assert cells[cells.index("command.position") + 4] == "rad"
+    assert cells[cells.index("joints.position") + 4] == "°"
+    assert cells[cells.index("command.position") + 4] == "°"
     assert "true values: box_mass 4" in shown
 
 
