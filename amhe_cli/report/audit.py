@@ -59,7 +59,7 @@ def audit_table(lines: Sequence[Line]) -> Table:
 
 def _shown(line: Line) -> bool:
     """Whether a log says anything of a number: else its value is what arithmetic left."""
-    return line.verdict != VERDICTS[2] or line.sd < abs(line.file)
+    return line.verdict != VERDICTS[2] or line.sd < max(abs(line.file), abs(line.log))
 
 
 def beside_table(found: Sequence[ParameterResult]) -> Table:
