@@ -246,7 +246,9 @@ def expect_less(signals: Sequence[Guess], chosen: Chosen) -> None:
         return
     for guess in signals:
         if guess.noise.get("position") and "joints" in guess.entry:
-            guess.noise["position"] = max(float(guess.noise["position"] or 0.0), _MISSED)
+            if float(guess.noise["position"] or 0.0) < _MISSED:
+                guess.noise["position"] = _MISSED
+                guess.why += "; its noise is what models of such gears miss"
             guess.entry["compare"] = ["position"]  # such drives hold and round their speeds
 
 

@@ -332,7 +332,11 @@ def test_a_log_has_the_supply_of_a_drive_and_says_whether_it_is_on(tmp_path: Pat
         "elbow_voltage.voltage",
         "elbow_enabled.enabled",
     ]
-    assert "not compared: the efforts" not in capsys.readouterr().out  # torque_enable is none
+    said = " ".join(capsys.readouterr().out.split())
+    assert "not compared: the efforts" not in said  # torque_enable is none
+    assert "its noise is what models of such gears miss" in (tmp_path / "arm" / "system.yaml").read_text()
+    (position,) = [one for one in system.channels if one.compared]
+    assert position.noise == pytest.approx(0.006)
     assert system.fixed["elbow_supply"] == 7.4
     assert "elbow_supply_sag" not in system.space.names  # the voltage has sagged already
 
