@@ -179,7 +179,7 @@ def test_a_number_that_no_log_determines_costs_its_data_sheet() -> None:
     assert found.shared and found.kind == "assumed"
     mass = of(identify(system, [pushed(system)], None, IdentifyOptions()), "mass")
     assert (mass.verdict, mass.given) == ("conditional", "the gain of motor, 1")
-    assert mass.reasons[0].text.startswith("given the gain of motor, 1: known to 10 %, that leaves 11%")
+    assert mass.reasons[0].text.startswith("given the gain of motor, 1: known to 10 %, that leaves 11 % open")
     assert mass.budget["assumed"] > 0.9 and mass.lower < 2.0 < mass.upper
 
 
