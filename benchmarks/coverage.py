@@ -4,7 +4,7 @@
     python benchmarks/coverage.py --online ...
 
 Each trial draws its truth from the prior and simulates a short log with sensor noise, first states included.
-`amhe identify` has its default settings, but fewer and shorter clips. The pendulum's log tells it that the
+`amhe identify` has its default settings, but fewer and shorter clips. The pendulum's log shows that the
 model's other numbers are right. That of a box behind contacts cannot, and its intervals hold what settings
 say that they are worth: so each is off by a draw of it, and the plant's steps are an eighth as long.
 Online, the log is the model's own, and is replayed from the prior with the system's own settings, but no

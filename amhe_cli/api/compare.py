@@ -152,7 +152,7 @@ def compare(
 
 
 def _show(say: Callable[[str], None], name: str, iteration: Iteration, total: int) -> None:
-    say(f"{name}: {iteration.told(total)}")
+    say(f"{name}: {iteration.summary(total)}")
 
 
 def _refuse_unequal(

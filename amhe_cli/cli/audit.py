@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -155,8 +155,7 @@ def _logs(session: Session, model: Path, given: Given) -> None:
     record = session.record(out=str(folder), model=str(model))
     write_audit(
         folder, model, logs, found, given.write, record, session.command_line, given.seed, given.force,
-        # in backquotes still, which a page has as code
-        lambda text: re.sub("`[^`]+`", lambda m: f"`{in_options(m[0], session.options).strip('`')}`", text),
+        partial(in_options, options=session.options, quote="`"),
     )  # fmt: skip
     _print(session, found.lines, record, found)
 

@@ -65,7 +65,7 @@ def of_messages(count: int) -> Shown:
 def of_search(item: tuple[Iteration, int]) -> Shown:
     """What is shown of an iteration of a search, and of how many there will be about."""
     iteration, total = item
-    return iteration.told(total), iteration.number, total
+    return iteration.summary(total), iteration.number, total
 
 
 def _with_time_left(shown: Callable[[T], Shown]) -> Callable[[T], Shown]:

@@ -35,12 +35,13 @@ TERMINATING = (signal.SIGTERM, signal.SIGHUP)
 _QUOTED = re.compile(r"`([a-z_0-9]+)((?:\.\w+)*)(?:=([^`]*))?`")
 
 
-def in_options(text: str, options: Mapping[str, str]) -> str:
+def in_options(text: str, options: Mapping[str, str], quote: str = "") -> str:
     """A text of the library as the user of a command reads it; other words in backquotes stay.
 
     Args:
         text: The text, in which `held_out` stands for the option --held-out, `logs.align=true` for a setting.
         options: See `command.options_of`.
+        quote: What to put options into: a page shows what is in backquotes as code.
     """
 
     def typed(match: re.Match[str]) -> str:
@@ -49,11 +50,12 @@ def in_options(text: str, options: Mapping[str, str]) -> str:
             from amhe_cli.cli.settings import groups
 
             setting = f"{name}{rest}" if value is None else f"{name}{rest}={value}"
-            return f"--set {setting}" if "assignments" in options and name in groups() else match.group()
+            known = "assignments" in options and name in groups()
+            return f"{quote}--set {setting}{quote}" if known else match.group()
         option = options.get(f"no_{name}" if value == "False" else name)
         if option is None:
             return match.group()
-        return option if value in (None, "True", "False") else f"{option} {value}"
+        return f"{quote}{option if value in (None, 'True', 'False') else f'{option} {value}'}{quote}"
 
     return _QUOTED.sub(typed, text)
 

@@ -239,7 +239,7 @@ class Iteration:
     theta: tuple[float, ...]  # of what was searched: with values of logs' own, not of their means
     stage: str = ""  # 'explore' or 'polish' of the linearised search; 'conclusion' of a part of that
 
-    def told(self, total: int) -> str:
+    def summary(self, total: int) -> str:
         """Progress in words: 'fitting, 5 of about 16: cost 1.04', or 'checking, 14 of 15: ...'."""
         if self.stage != "conclusion":
             return f"fitting, {self.number} of about {total}: cost {self.cost:.4g}"

@@ -194,8 +194,8 @@ def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) ->
     """Linearise all clips at the estimate.
 
     Samples have the shape of the posterior, which depends on the linearisation: this is repeated until the
-    shape no longer changes, or a watch has no time for more. One shows enough of a rough search, from steps
-    to one side where these are straight.
+    shape no longer changes, or a watch has no time for more. After a rough search one linearisation is
+    enough, by steps to one side if the search took such steps.
     """
     floor, rough = spread_floor(problem), problem.rough
     searched = isinstance(finding, SearchState)
@@ -203,9 +203,9 @@ def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) ->
     scale, first = finding.scale, finding.first if searched else None
     # the last steps of the search have sampled in this shape and fitted the first states
     shaped = searched and first is not None and (problem.non_smooth or finding.settled)
+    one_sided = rough and searched and finding.straight
     for turn in range(TURNS):
-        straight = rough and searched and finding.straight
-        slopes = _linearised(problem, finding.z, scale, shape, first, turn, straight)
+        slopes = _linearised(problem, finding.z, scale, shape, first, turn, one_sided)
         fit = fit_of(problem, finding, slopes, shape, scale)
         if rough:
             break

@@ -76,8 +76,11 @@ def stalled(problem: Problem, state: SearchState) -> bool:
     if state.first is None or state.number < ROUGHLY + STALLED or problem.system.match == "effort":
         return False  # it has not seen all clips so often; efforts take no time, and their slopes hold
     cost = problem.cost(problem.clips, state.scale)
-    residuals = cost.residuals(state.z[None], state.first.mean[None] if cost.nx else None)
-    times = channel_times(cost, residuals.flat[0], residuals.completed[0])
+    if cost.times is None:
+        residuals = cost.residuals(state.z[None], state.first.mean[None] if cost.nx else None)
+        times = channel_times(cost, residuals.flat[0], residuals.completed[0])
+    else:  # of a known noise, which takes no rollouts
+        times = tuple(cost.times.values())
     fell = _fell(state.record, cost, times)
     return fell is not None and fell <= max(1.0, problem.enough or 0.0) ** 2
 

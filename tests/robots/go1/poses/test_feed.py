@@ -116,7 +116,7 @@ def test_a_source_that_blocks_for_ever_is_given_up() -> None:
 
 _PROGRAM = """
 import sys, time
-from amhe_cli.robots.go1.poses.feed import PoseFeed, TimedPose, _Sender
+from amhe_cli.robots.go1.poses.feed import PoseFeed
 from amhe_cli.robots.go1.settings import Go1Settings
 with PoseFeed("udp", "127.0.0.1", int(sys.argv[1]), Go1Settings(connect_time=20.0)) as feed:
     while not feed._messages():
