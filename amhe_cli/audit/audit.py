@@ -76,7 +76,7 @@ class Line:
     Args:
         of, what, unit: Whose number it is, and which.
         parameter: Name of the parameter that sets it.
-        file: What the file says.
+        file, file_sd: What the file says, and what that is taken to be worth.
         log, sd: What the log says of it, whatever the file says, in the same unit.
         t: How far apart they are, in sd of both.
         chance: The chance that a right number is farther away.
@@ -90,6 +90,7 @@ class Line:
     unit: str
     parameter: str
     file: float
+    file_sd: float
     log: float
     sd: float
     t: float
@@ -340,8 +341,8 @@ def _lines(
     weight = _weights(system, found, claims, wrong, logs)
     lines = [
         Line(
-            c.number.of, c.number.what, c.number.unit, c.parameter, c.value, float(value[i]), float(sd[i]),
-            float(logged.t[i]), float(judgement.chance[i]), verdicts[i], weight[i],
+            c.number.of, c.number.what, c.number.unit, c.parameter, c.value, c.worth, float(value[i]),
+            float(sd[i]), float(logged.t[i]), float(judgement.chance[i]), verdicts[i], weight[i],
             unjudged or _cure(system, found, judgement.evidence, c) if verdicts[i] == VERDICTS[2] else "",
         )
         for i, c in enumerate(claims)

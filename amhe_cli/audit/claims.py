@@ -15,13 +15,14 @@ import numpy as np
 
 from amhe_cli.check.model import WORTHWHILE
 from amhe_cli.core.settings import AssumedSettings
-from amhe_cli.init.drives import delay, measured_joints, moved_by, short, zeros
+from amhe_cli.init.drives import command_zeros, delay, measured_joints, moved_by, short, zeros
 from amhe_cli.init.folder import Proposal
 from amhe_cli.init.signals import Guess
 from amhe_cli.system.description.targets import IN_NO_FILE
 from amhe_cli.system.model.elements import driven_joint
 from amhe_cli.system.model.files import compiled
 from amhe_cli.system.numbers import ModelNumber, numbers_of
+from amhe_cli.system.parameters.servos import OF_SERVO
 
 #: Kind of number -> its setting in `identify.assumed`.
 _SETTINGS = {"inertia": "mass", "actuator_damping": "gain"}
@@ -76,6 +77,11 @@ class Claim:
         """The least that it may be, on the parameter's scale: no friction is negative."""
         return -np.inf if self.log or self.number.kind == "center_of_mass" else 0.0
 
+    @property
+    def worth(self) -> float:
+        """The sd of a data sheet that is right, in the number's unit."""
+        return float(-self.value * np.expm1(-self.sd)) if self.log else self.sd
+
     def phi(self, value: float) -> float:
         """The parameter of a value of the number, on the parameter's scale."""
         return float(np.log(value / self.factor)) if self.log else value / self.factor
@@ -123,7 +129,7 @@ def claims_of(proposal: Proposal, settings: AssumedSettings) -> list[Claim]:
 
 
 def doubts_of(proposal: Proposal) -> list[Guess]:
-    """What no file claims, and logs depend on: zeros of sensors, commands' delay, what a system adds."""
+    """What no file claims, and logs depend on: zeros of sensors and commands, delay, what a system adds."""
     model, signals = compiled(proposal.spec), proposal.guesses
     if proposal.match == "effort":
         return [one for one in proposal.parameters if one.entry["targets"][0].get("set") == "bias"]
@@ -131,6 +137,8 @@ def doubts_of(proposal: Proposal) -> list[Guess]:
     found += delay(model.opt.timestep) if moved_by(signals) else []
     own = [one for one in proposal.parameters if one.entry["targets"][0].get("set") in IN_NO_FILE]
     taken = [target for one in own for target in one.entry["targets"]]
+    if not any(target["set"] in OF_SERVO for target in taken):  # firmware counts from its encoder's zero
+        found += command_zeros(model, signals)
     return [one for one in found if one.entry["targets"][0] not in taken] + own
 
 

@@ -151,8 +151,8 @@ def held_against(system: System, belief: Belief, file: mujoco.MjModel) -> list[L
     worth = weights(model, others, anywhere(model))
     return in_order(
         Line(
-            n.of, n.what, n.unit, "", float(said[i]), float(log[i]), float(sd[i]), float(t[i]),
-            float(chance[i]), verdicts[i], worth[i], "",
+            n.of, n.what, n.unit, "", float(said[i]), float(sheet[i]), float(log[i]), float(sd[i]),
+            float(t[i]), float(chance[i]), verdicts[i], worth[i], "",
         )
         for i, (n, _) in enumerate(rows)
     )  # fmt: skip

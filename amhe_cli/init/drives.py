@@ -12,7 +12,14 @@ import numpy as np
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.init.names import words
 from amhe_cli.init.signals import Guess, joint_of, single_joints
-from amhe_cli.system.model.elements import commanded, floats, followers, names_of
+from amhe_cli.system.model.elements import (
+    commanded,
+    driven_joint,
+    floats,
+    followers,
+    holds_position,
+    names_of,
+)
 from amhe_cli.system.model.gaps import add_gaps
 
 #: Numbers of an actuator that are equal where drives are.
@@ -42,6 +49,8 @@ _LONGEST_DELAY = 0.1
 _ZERO_OF_HINGE = (0.05, 0.3)
 #: Prior sd and largest zero of the encoder of a slide [m].
 _ZERO_OF_SLIDE = (0.005, 0.03)
+#: The same of the zero that a servo's command has beside its encoder's: firmware mostly counts from one.
+_COMMAND_OF_HINGE, _COMMAND_OF_SLIDE = (0.01, 0.1), (0.001, 0.01)
 #: Width of a hinge's gap before a log is read, and its bounds [rad].
 _GAP_OF_HINGE = (0.01, 0.0002, 0.1)
 #: Width of a slide's gap before a log is read, and its bounds [m].
@@ -303,6 +312,24 @@ def zeros(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Guess]
                 gravity = "nothing shows it: gravity's torque does not change with this joint"
             why = f"zero of the encoder of joint {joint}: the log reads angle + offset; {gravity}"
             yield Guess(f"{joint}_offset", entry, why, source="guess")
+
+
+def command_zeros(model: mujoco.MjModel, signals: Sequence[Guess]) -> Iterator[Guess]:
+    """The zero of each position servo's command, in its encoder's frame."""
+    for signal in signals:
+        for name in signal.entry.get("actuators", ()):
+            joint = driven_joint(model, row := model.actuator(name).id)
+            if joint is None or not holds_position(model, row):
+                continue
+            slides = int(model.joint(joint).type[0]) == mujoco.mjtJoint.mjJNT_SLIDE
+            sd, most = _COMMAND_OF_SLIDE if slides else _COMMAND_OF_HINGE
+            entry = linear_entry(
+                0.0, (-most, most), sd, {"signal": signal.name, "set": "bias", "actuator": name}
+            )
+            why = (
+                f"zero of the command of {name}: the servo goes to command - offset, as its encoder shows it"
+            )
+            yield Guess(f"{name}_command_offset", entry, why, source="guess")
 
 
 def _lifts(model: mujoco.MjModel, joint: str) -> bool:

@@ -32,10 +32,11 @@ from amhe_cli.system.provenance import provenance
 STYLES = {"contradicted": "red", "agrees": "green", "cannot tell": "dim"}
 #: What stands in the columns of the table.
 _COLUMNS = (
-    "In the log: what it says of a number whatever the file says of it, with all other numbers as their "
-    "data sheets have them. Contradicted: 5 % of right files have such a verdict by chance. Of the forces: "
-    "what the difference is worth, as a share of the joints' forces along the motion. More than 100 %: with "
-    "the file's number they would differ by more than all the force that the joints gave."
+    "± in the file: what a data sheet is taken to be worth, by `identify.assumed`. In the log: what it says "
+    "of a number whatever the file says of it, with all other numbers as their data sheets have them. "
+    "Contradicted: 5 % of right files have such a verdict by chance. Of forces: what the difference is "
+    "worth, as a share of the joints' forces along the motion. More than 100 %: with the file's number they "
+    "would differ by more than all the force that the joints gave."
 )
 
 
@@ -46,15 +47,22 @@ def audit_table(lines: Sequence[Line]) -> Table:
         wrong, judged = line.verdict == VERDICTS[0], line.verdict != VERDICTS[2]
         rows.append(
             (
-                line.of, line.what,
+                line.of, ", ".join(filter(None, (line.what, numbers.unit_of(line.unit)))),
                 f"{line.verdict}: {abs(line.t):.1f} sd" if judged else line.verdict,
-                numbers.quantity(f"{line.file:.4g}", line.unit),
+                _in_file(line),
                 numbers.with_sd(line.log, line.sd) if _shown(line) else numbers.MISSING,
                 numbers.percent(line.weight) if wrong else "",
             )
         )  # fmt: skip
-    head = ("part", "number", "verdict", "in the file", "in the log", "of the forces")
+    head = ("part", "number", "verdict", "in the file", "in the log", "of forces")
     return Table(head, (ONCE, "", VERDICT, NUMBER, STRONG, NUMBER), rows, [line.cure for line in lines])
+
+
+def _in_file(line: Line) -> str:
+    """'2.4 ± 10 %', or '0.12 ± 0.01' of a length: what the file says, and what that is taken to be worth."""
+    if line.file and line.unit != "m":
+        return f"{line.file:.4g} ± {numbers.percent(line.file_sd / abs(line.file))}"
+    return f"{line.file:.4g} ± {line.file_sd:.2g}"
 
 
 def _shown(line: Line) -> bool:
@@ -287,7 +295,7 @@ def difference_table(found: FilesCompared, one: str, other: str) -> Table:
         for d in found.differences
     ]
     return Table(
-        ("part", "number", one, other, "unit", "times", "of the forces"),
+        ("part", "number", one, other, "unit", "times", "of forces"),
         ("", "", NUMBER, NUMBER, "", NUMBER, NUMBER),
         rows,
     )

@@ -67,15 +67,18 @@ def close(result: amhe.Result, **truth: float) -> None:
         assert found.shrinkage > 0.8, (name, found.shrinkage)
 
 
-def swing(zero: float, seconds: float = 6.0) -> dict[str, Any]:
-    """An arm under steps of its servo's command, both in the frame of an encoder that is off by `zero`."""
+def swing(zero: float, commands: float = 0.0, seconds: float = 6.0) -> dict[str, Any]:
+    """An arm under steps of its servo's command, in the frame of an encoder that is off by `zero`.
+
+    The servo goes to what is commanded less `commands`.
+    """
     model, rng = mujoco.MjModel.from_xml_string(ARM), np.random.default_rng(0)
     data, rows = mujoco.MjData(model), []
     command = 0.0
     for step in range(round(seconds / DT)):
         if step % 100 == 0:
             command = rng.uniform(-1.0, 1.0)
-        data.ctrl[0] = command - zero
+        data.ctrl[0] = command - commands - zero
         rows.append((data.time, data.qpos[0] + zero + 0.001 * rng.normal(), command))
         mujoco.mj_step(model, data)
     time, angle, command = np.array(rows).T
@@ -83,11 +86,14 @@ def swing(zero: float, seconds: float = 6.0) -> dict[str, Any]:
 
 
 @pytest.mark.medium
-def test_the_zero_of_an_encoder_is_found_with_commands_in_its_frame() -> None:
-    """Gravity shows where down is."""
+@pytest.mark.parametrize("commands", [0.0, -0.05])
+def test_the_zero_of_an_encoder_is_found_with_commands_in_its_frame(commands: float) -> None:
+    """Gravity shows where down is, and where the servo stands beside its command what that counts from."""
+    offset = {"signal": "command", "set": "bias", "actuator": "servo"}
     arm = system(
         ARM,
         {
+            "offset": {"bounds": [-0.1, 0.1], "prior_sd": 0.02, "targets": [offset]},
             "zero": {
                 "bounds": [-0.5, 0.5],
                 "prior_sd": 0.2,
@@ -97,13 +103,14 @@ def test_the_zero_of_an_encoder_is_found_with_commands_in_its_frame() -> None:
         },
         {"joints": {"joints": ["hinge"], "noise": {"position": 0.001}}, "command": {"actuators": ["servo"]}},
     )
-    result = amhe.identify(arm, amhe.Log.from_arrays(swing(0.12), arm), threads=1)
-    close(result, zero=0.12, load=0.5)
-    assert result.parameters["zero"].unit == "rad"
+    result = amhe.identify(arm, amhe.Log.from_arrays(swing(0.12, commands), arm), threads=1)
+    close(result, zero=0.12, load=0.5, offset=commands)
+    assert result.parameters["zero"].unit == result.parameters["offset"].unit == "rad"
     model = result.model()
     assert model.qpos0[0] == pytest.approx(0.12, abs=0.01)  # its coordinate is the encoder's
     assert model.jnt_range[0] == pytest.approx(np.radians([-80, 80]) + model.qpos0[0])
-    assert 'ref="' not in result_xml(result)
+    xml = result_xml(result)
+    assert 'ref="' not in xml and 'biasprm="0 -2 -0.02"' in xml  # zeros belong to the log
 
 
 def result_xml(result: amhe.Result) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -287,6 +288,28 @@ def test_a_spring_is_named_with_its_stiffness_and_rest(sprung: tuple[amhe.System
     assert stiffness["nominal"] == pytest.approx(0.8, abs=0.05)
     assert rest["nominal"] == pytest.approx(0.1, abs=0.03)
     assert found.tested > 50
+
+
+@pytest.mark.medium
+def test_a_zero_of_a_servo_is_named_with_the_force_that_acts_alike(
+    sprung: tuple[amhe.System, amhe.Log],
+) -> None:
+    system, _ = sprung
+    time, position, command = swung(0.0).T
+    arrays = {"joints": {"time": time, "position": position}, "command": {"time": time, "position": command}}
+    arrays["command"]["position"] = command - 0.02
+
+    row, *others = _explained(system, amhe.Log.from_arrays(arrays, system)).rows
+
+    assert not others and (row.kind, row.place) == ("constant", "hinge")
+    assert re.fullmatch(
+        r"a constant force of 0.1[12]\d* ± \S+ N m, or a zero of its command that is off by -0.0[12]\S* "
+        r"± \S+ rad",
+        row.text,
+    )
+    entry = row.repair["servo_command_offset"]
+    assert entry["targets"] == [{"signal": "command", "set": "bias", "actuator": "servo"}]
+    assert entry["nominal"] == pytest.approx(-0.02, abs=0.002)
 
 
 @pytest.mark.medium

@@ -390,7 +390,7 @@ def test_a_declared_zero_of_an_encoder_is_no_parameter_that_is_held(written: Wri
     [
         ("{signal: t, set: bias}", "no signal 't'; there is: s"),
         ("{signal: s, set: bias}", "say which quantity: one of position, velocity, effort"),
-        ("{signal: s, set: bias, quantity: effort, joint: hop}", "no joint or axis of this signal 'hop'"),
+        ("{signal: s, set: bias, quantity: effort, joint: hop}", "no joint, actuator or axis of this signal"),
         ("{signal: s, set: band}", "give the signal a band of its own, such as band: 100"),
         ("{signal: s, set: frame, axis: yaw}", "frame of a body or site"),
         ("{signal: s, set: frame}", "needs axis: one of x, y, z, roll, pitch, yaw"),

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.engine.states import controls
 from amhe_cli.estimation.explain.candidate import (
     Cause,
     CauseMaker,
@@ -21,7 +22,7 @@ from amhe_cli.estimation.explain.candidate import (
     signed,
     times,
 )
-from amhe_cli.system.model.elements import axis_in, heaviest_part
+from amhe_cli.system.model.elements import axis_in, driven_joint, heaviest_part, holds_position
 
 #: Numbers of a joint that may be wrong: kind -> what it is, with '#' for its size; field and column of the
 #: model, and its word in `set:`; against what it is drawn.
@@ -107,14 +108,18 @@ def _in_time(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:
     """A constant force, and what changes slowly."""
     later = maker.time - maker.time.mean()
     constant = partial(_constant, maker, j)
-    repair = partial(_soft_spring, maker, j) if j.place >= 0 else None
+    made = _command_zero if _servo(maker, j) else _soft_spring
+    repair = partial(made, maker, j) if j.place >= 0 else None
     yield maker.on(j, "constant", [np.ones_like(later)], constant, repair=repair)
     yield maker.on(j, "drift", [later], says(f"a force that drifts by # {j.f}/s"))
 
 
 def _constant(maker: CauseMaker, j: MeasuredDof, c: FloatArray, sd: FloatArray) -> str:
-    """A constant force; that it carries a free body."""
+    """A constant force; that it carries a free body, or that a servo's zero would look the same."""
     text, model = f"a constant force of {number(c[0], sd[0])} {j.f}", maker.model
+    if servo := _servo(maker, j):
+        off = number(-c[0] / servo[2], sd[0] / abs(servo[2]))
+        return f"{text}, or a zero of its command that is off by {off} {j.u}"
     pull = model.opt.gravity["xyz".index(j.name[-1])] if j.place < 0 and j.u == "m" else 0.0
     if c[0] * pull >= 0.0 or maker.found.forces.by[..., j.dof].any():
         return text
@@ -122,6 +127,29 @@ def _constant(maker: CauseMaker, j: MeasuredDof, c: FloatArray, sd: FloatArray) 
     if abs(c[0]) < _CARRIED * weight:
         return text
     return f"{text} against its weight of {weight:.3g} {j.f}: something carries it, such as a hand"
+
+
+def _servo(maker: CauseMaker, j: MeasuredDof) -> tuple[str, str, float] | None:
+    """Signal and name of the position servo that holds a joint by commands, and its stiffness there."""
+    model, place = maker.model, controls(maker.model, maker.system.input_spec)
+    firmware = maker.system.edits.servos
+    for source in maker.system.inputs if place else ():
+        for row in np.flatnonzero(np.isin(model.actuator_ctrladr, np.array(source.columns) - place.start)):
+            taken = firmware is not None and row in firmware.rows
+            if source.delayed and driven_joint(model, row) == j.name and holds_position(model, row):
+                gear = float(model.actuator_gear[row, 0])
+                stiff = gear * float(model.actuator_gainprm[row, 0])
+                return None if taken else (source.key.rpartition(".")[0], model.actuator(row).name, stiff)
+    return None
+
+
+def _command_zero(maker: CauseMaker, j: MeasuredDof, c: FloatArray, sd: FloatArray) -> dict[str, Any]:
+    """A constant force of a servo: its command counts from another zero."""
+    servo = _servo(maker, j)
+    assert servo is not None, "the joint has one"
+    signal, name, stiff = servo
+    target = {"signal": signal, "set": "bias", "actuator": name}
+    return {f"{name}_command_offset": signed(-float(c[0]) / stiff, float(sd[0]) / abs(stiff), target)}
 
 
 def _springs(maker: CauseMaker, j: MeasuredDof) -> Iterator[Cause]:

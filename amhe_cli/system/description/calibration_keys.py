@@ -13,10 +13,11 @@ from amhe_cli.core.signals import QUANTITIES
 from amhe_cli.system.description.data import Channel
 from amhe_cli.system.description.schema import Description, SignalEntry, TargetEntry
 from amhe_cli.system.description.targets import FRAME_AXES
-from amhe_cli.system.model.elements import id_of
+from amhe_cli.system.model.elements import holds_position, id_of
 from amhe_cli.system.model.gaps import gaps
 from amhe_cli.system.parameters.calibration import Reading, SignalCalibration
-from amhe_cli.system.parameters.edits import CALIBRATION, Cells, Edit, ForceEdit, ZeroEdit
+from amhe_cli.system.parameters.edits import CALIBRATION, Cells, CommandEdit, Edit, ForceEdit, ZeroEdit
+from amhe_cli.system.parameters.servos import SERVOS
 
 #: Value of a number that is not given.
 _NEUTRAL = {"scale": 1.0, "bias": 0.0, "frame": 0.0}
@@ -37,12 +38,14 @@ class CalibrationDraft:
         entries: The signals.
         channels: The channels in the final model, by signal and quantity.
         forces: Actuators that a signal's force or torque drives, by signal and quantity.
+        commands: Actuators that a signal commands, and the units, by signal and quantity.
         model: The final model.
     """
 
     entries: Mapping[str, SignalEntry]
     channels: Mapping[tuple[str, str], Channel]
     forces: Mapping[tuple[str, str], Sequence[int]]
+    commands: Mapping[tuple[str, str], tuple[Sequence[int], Sequence[str]]]
     model: mujoco.MjModel
     _rows: dict[_Key, int] = field(default_factory=dict)
     _own: list[float] = field(default_factory=list)
@@ -74,9 +77,9 @@ class CalibrationDraft:
             return [self._number(name, "band", "", 0)]
         quantity = self._quantity(name, word, target.quantity)
         columns = self._columns(name, quantity)
-        part = target.joint or target.axis
+        part = target.joint or target.actuator or target.axis
         if part is not None and part not in columns:
-            raise ConfigError(one_of("joint or axis of this signal", part, columns))
+            raise ConfigError(one_of("joint, actuator or axis of this signal", part, columns))
         chosen = columns if part is None else [part]
         return [self._number(name, word, quantity, columns.index(column)) for column in chosen]
 
@@ -84,12 +87,13 @@ class CalibrationDraft:
         """Unit of what a target sets."""
         if target.set == "bias":
             key = str(target.signal), self._quantity(str(target.signal), "bias", target.quantity)
-            if key not in self.channels:
+            if key not in self.channels and key not in self.commands:
                 return QUANTITIES[key[1]]
-            units, part = self.channels[key].units, target.joint or target.axis
-            return (
-                units[self._columns(*key).index(part)] if part and len(units) > 1 else self.channels[key].unit
-            )
+            units = self.channels[key].units if key in self.channels else self.commands[key][1]
+            part = target.joint or target.actuator or target.axis
+            if part and len(units) > 1:
+                return units[self._columns(*key).index(part)]
+            return units[0] if units else "-"
         if target.set == "frame":
             return "m" if target.axis in ("x", "y", "z") else "rad"
         return "Hz" if target.set == "band" else "-"
@@ -119,9 +123,15 @@ class CalibrationDraft:
             if any(key[0] == name and key[2] == quantity for key in self._rows)
             for column, actuator in enumerate(actuators)
         }
+        commanded = {
+            self.commands[name, quantity][0][column]: row
+            for (name, word, quantity, column), row in self._rows.items()
+            if word == "bias" and (name, quantity) in self.commands
+        }
         joints = {joint: (int(self.model.jnt_qposadr[joint]), row) for joint, row in zeros.items()}
         changes: list[Edit] = [ZeroEdit(joints)] if zeros else []
         changes += [ForceEdit(driven)] if driven else []
+        changes += [CommandEdit(commanded)] if commanded else []
         return SignalCalibration(np.array(self._own), used), changes
 
     def _read(self, name: str, entry: SignalEntry, word: str) -> None:
@@ -135,7 +145,7 @@ class CalibrationDraft:
         elif word == "band":
             self._number(name, "band", "", 0, given)
         elif word == "scale":
-            linear = [q for q in self._calibrated(name) if q != "orientation"] or [word]
+            linear = [q for q in self._calibrated(name, word) if q != "orientation"] or [word]
             each = given if isinstance(given, Mapping) else dict.fromkeys(linear, given)
             for quantity, value in each.items():
                 checked = self._quantity(name, word, quantity)
@@ -160,6 +170,8 @@ class CalibrationDraft:
                 raise ConfigError("band is for numbers that are compared with the model")
             if value is None and (name, word, quantity, column) not in self._rows:
                 raise ConfigError("give the signal a band of its own, such as band: 100, to start from")
+        if (name, quantity) in self.commands:
+            _check_servo(self.model, self.commands[name, quantity][0][column])
         row = self._row((name, word, quantity, column), value)
         label = ".".join(part for part in (name, quantity) if part)
         which = f"[{column}]" if word == "frame" else ""
@@ -173,13 +185,14 @@ class CalibrationDraft:
             self._own.append(_NEUTRAL.get(key[1], 0.0) if value is None else value)
         return self._rows[key]
 
-    def _calibrated(self, name: str) -> list[str]:
+    def _calibrated(self, name: str, word: str) -> list[str]:
         """Quantities of a signal that can be calibrated."""
-        return [q for n, q in (*self.channels, *self.forces) if n == name]
+        commands = self.commands if word == "bias" else ()
+        return [q for n, q in (*self.channels, *self.forces, *commands) if n == name]
 
     def _quantity(self, name: str, word: str, given: str | None) -> str:
         """The quantity that is meant: the one given, or the only one."""
-        quantities = [q for q in self._calibrated(name) if q != "orientation"]
+        quantities = [q for q in self._calibrated(name, word) if q != "orientation"]
         if not quantities:
             raise ConfigError(f"{word} is for what is compared with the model, and for force_on")
         if given is None and len(quantities) > 1:
@@ -191,8 +204,8 @@ class CalibrationDraft:
     def _columns(self, name: str, quantity: str) -> list[str]:
         """Names of a quantity's columns: joints, or axes."""
         entry = self.entries[name]
-        if joints := entry.joints or entry.joint_force:
-            return list(joints)
+        if names := entry.joints or entry.joint_force or entry.actuators:
+            return list(names)
         if (name, quantity) in self.forces:
             return ["x", "y", "z"]
         width = len(self.channels[name, quantity].columns)
@@ -205,7 +218,7 @@ class CalibrationDraft:
         entry = self.entries[name]
         if entry.body is None and entry.site is None:
             raise ConfigError("a parameter can set the frame of a body or site, which is compared")
-        quantities = set(self._calibrated(name)) - ({"angular_velocity"} if entry.body else set())
+        quantities = set(self._calibrated(name, "frame")) - ({"angular_velocity"} if entry.body else set())
         if quantities & set(_WORLD) and quantities - set(_WORLD):
             raise ConfigError(
                 "this signal has quantities in the world and in the site's own axes: split it in two, each "
@@ -237,3 +250,12 @@ class CalibrationDraft:
             memory=memory,
             sign=-1.0 if turned else 1.0,
         )
+
+
+def _check_servo(model: mujoco.MjModel, row: int) -> None:
+    """Refuse a zero of its command to an actuator that has none of its own."""
+    name = model.actuator(row).name
+    if not holds_position(model, row):
+        raise ConfigError(f"actuator {name!r} is no position servo: only these have a zero of their command")
+    if row in SERVOS.rows(model):
+        raise ConfigError(f"the firmware of {name!r} counts from its encoder's zero: set that of its joint")

@@ -133,7 +133,12 @@ class WiringDraft:
             if not drive.delayed and drive.bit == mujoco.mjtState.mjSTATE_CTRL and drive.arm is None
         }
         forces = {key: rows for key, rows in forces.items() if key not in channels}  # these are compared
-        return CalibrationDraft(entries, channels, forces, model)
+        commands = {
+            split_key(drive.key): ([id_of(model, "actuator", str(part)) for part in drive.parts], drive.units)
+            for drive in self.driven
+            if drive.delayed
+        }
+        return CalibrationDraft(entries, channels, forces, commands, model)
 
     def commanded(self, wiring: Wiring) -> dict[str, list[Cells]]:
         """Actuator that a signal commands -> the delays of its commands; it may have several controls."""

@@ -35,6 +35,7 @@ def identified_spec(system: System, theta: FloatArray) -> mujoco.MjSpec:
     spec = system.original.copy()
     compiled(spec)  # gives every element its row in the compiled model
     model = system.edits.apply(system.model, theta)
+    model.actuator_biasprm[:, 0] = system.unedited.actuator_biasprm[:, 0]  # zeros of commands are of the log
     _write_inertials(spec, model, {c.row for c in system.edits.cells if c.field in _INERTIAL})
     for numerics, elements in ((GEARS, model.joint), (SERVOS, model.actuator)):
         for row, at in numerics.acting(model, system.edits.numerics).items():
@@ -45,7 +46,8 @@ def identified_spec(system: System, theta: FloatArray) -> mujoco.MjSpec:
             joint = _with_id(spec.joints, int(np.flatnonzero(model.jnt_qposadr == row)[0]))
             degrees = spec.compiler.degree and joint.type == mujoco.mjtJoint.mjJNT_HINGE
             joint.springref = (model.qpos_spring[row] - zero) * (180.0 / np.pi if degrees else 1.0)
-    for field, row in dict.fromkeys((c.field, c.row) for c in system.edits.cells):
+    own = (c for c in system.edits.cells if (c.field, c.columns) != ("actuator_biasprm", (0,)))
+    for field, row in dict.fromkeys((c.field, c.row) for c in own):
         calibrated = field in _CALIBRATED or (field.startswith("actuator_") and row >= len(spec.actuators))
         if field not in (*_INERTIAL, "numeric_data") and not calibrated:
             _write(spec, model, field, row)

@@ -18,6 +18,7 @@ from amhe_cli import __version__
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief import Belief, with_prior
 from amhe_cli.core.statistics import correlation
+from amhe_cli.system.model.elements import holds_position
 from amhe_cli.system.parameters.gear_friction import GearFriction
 from amhe_cli.system.parameters.servos import BIAS, OF_SERVO, SERVOS
 from amhe_cli.system.system import System
@@ -137,7 +138,7 @@ class Drawn:
     def gains(self) -> Iterator[tuple[int, tuple[float, float], tuple[float, float]]]:
         """Row of each position servo that parameters set, with the intervals of its two gains."""
         for row in self.rows("actuator_gainprm", "actuator_biasprm"):
-            if _is_servo(self.model, row):
+            if holds_position(self.model, row):
                 kd = self.range("actuator_biasprm", [row], 2, -1.0)
                 yield row, self.range("actuator_gainprm", [row], 0), kd
 
@@ -244,11 +245,6 @@ def _left_out(draws: Drawn, belief: Belief, late: Collection[str]) -> Iterator[s
             yield f"{name}, {low:g} to {high:g}{what}"
 
 
-def _is_servo(model: mujoco.MjModel, row: int) -> bool:
-    gain = model.actuator_gainprm[row, 0]
-    return bool(gain and np.isclose(model.actuator_biasprm[row, 1], -gain))
-
-
 def _servos(draws: Drawn) -> Iterator[dict[str, object]]:
     """The model's position servos on hinges and slides, under the estimate, at their joints [SI].
 
@@ -257,7 +253,7 @@ def _servos(draws: Drawn) -> Iterator[dict[str, object]]:
     model, delays = draws.model, draws.system.edits.delays(draws.theta)
     for row in map(int, np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT)):
         joint, gear = int(model.actuator_trnid[row, 0]), float(model.actuator_gear[row, 0])
-        if not _is_servo(model, row) or model.jnt_type[joint] not in _SINGLE:
+        if not holds_position(model, row) or model.jnt_type[joint] not in _SINGLE:
             continue
         dof, limit = int(model.jnt_dofadr[joint]), model.actuator_forcerange[row, 1] * abs(gear)
         shortest, longest = ends(delays[:, min(row, delays.shape[1] - 1)])

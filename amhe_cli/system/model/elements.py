@@ -116,6 +116,13 @@ def commanded(model: mujoco.MjModel, row: int) -> str:
     return "effort"
 
 
+def holds_position(model: mujoco.MjModel, row: int) -> bool:
+    """Whether an actuator is a servo that gives its gain times command less position."""
+    gain, bias = model.actuator_gainprm[row, 0], model.actuator_biasprm[row, 1]
+    fixed = int(model.actuator_gaintype[row]) == mujoco.mjtGain.mjGAIN_FIXED
+    return fixed and bool(gain and np.isclose(bias, -gain)) and commanded(model, row) == "position"
+
+
 def inputs_of(model: mujoco.MjModel, row: int) -> list[str]:
     """Quantities that a <pid>, or the controller of a <dcmotor>, takes, in the order of its controls."""
     if int(model.actuator_gaintype[row]) not in _CONTROLLERS:

@@ -216,3 +216,26 @@ class ForceEdit:
             numbers = arrays[CALIBRATION]
             arrays["actuator_gainprm"][:, actuator, 0] = 1.0 / numbers[:, scale]
             arrays["actuator_biasprm"][:, actuator, 0] = -numbers[:, bias] / numbers[:, scale]
+
+
+@dataclass(frozen=True, slots=True)
+class CommandEdit:
+    """Zeros of commands: servos go to what the log has as their command, less its bias.
+
+    Args:
+        rows: Actuator -> row of its bias in the calibration.
+    """
+
+    rows: Mapping[int, int]
+    columns: tuple[int, ...] = ()
+
+    @property
+    def cells(self) -> tuple[Cells, ...]:
+        """See `Edit`."""
+        return tuple(Cells("actuator_biasprm", actuator, (0,)) for actuator in self.rows)
+
+    def write(self, arrays: Mapping[str, FloatArray], theta: FloatArray) -> None:
+        """See `Edit.write`: gains are set before."""
+        for actuator, row in self.rows.items():
+            bias = arrays["actuator_biasprm"][:, actuator]
+            bias[:, 0] += bias[:, 1] * arrays[CALIBRATION][:, row]  # minus the gain
