@@ -58,7 +58,9 @@ def _error(record: dict[str, Any]) -> float:
 
 
 @pytest.mark.medium
-def test_a_missing_spring_is_put_into_a_copy_of_the_system(tmp_path: Path) -> None:
+def test_a_missing_spring_is_put_into_a_copy_of_the_system(
+    tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
     system, log = _swing(tmp_path, 0.8)
     before, out = _files(system), tmp_path / "out"
 
@@ -81,6 +83,7 @@ def test_a_missing_spring_is_put_into_a_copy_of_the_system(tmp_path: Path) -> No
     identified = mujoco.MjModel.from_xml_path(str(out / "identified.xml"))
     assert identified.qpos_spring[0] == pytest.approx(found["hinge_rest"]["estimate"], rel=1e-4)
     # the true structure, written by hand
+    request.getfixturevalue("unexplained")
     (system / "system.yaml").write_text(YAML.replace("signals:", SPRING + "signals:"))
     true = tmp_path / "true"
     assert run(["identify", str(log), "--system", str(system), "-q", "-o", str(true)]) == 0
@@ -88,7 +91,9 @@ def test_a_missing_spring_is_put_into_a_copy_of_the_system(tmp_path: Path) -> No
 
 
 @pytest.mark.medium
-def test_nothing_is_kept_of_a_faultless_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_kept_of_a_faultless_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
     """Nor of one where a cause is named that is none: held-out clips decide."""
     system, log = _swing(tmp_path, 0.0)
     before, opened = _files(system), amhe.System.load(system)
@@ -104,6 +109,7 @@ def test_nothing_is_kept_of_a_faultless_log(tmp_path: Path, monkeypatch: pytest.
         result = amhe.identify(*arguments, **more)
         return replace(result, found=replace(result.found, missing=Missing((named,))))
 
+    request.getfixturevalue("unexplained")
     monkeypatch.setattr(repair, "identify", naming)
     result = amhe.repair(opened, logs, threads=1)
     assert [(one.name, one.kept) for one in result.found.repairs] == [("spring@hinge", False)]
@@ -114,6 +120,7 @@ def test_nothing_is_kept_of_a_faultless_log(tmp_path: Path, monkeypatch: pytest.
 
 
 @pytest.mark.medium
+@pytest.mark.usefixtures("unexplained")
 def test_a_cause_whose_place_a_later_one_takes_is_left_out_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
