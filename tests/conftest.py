@@ -115,11 +115,7 @@ PENDULUM_TRUTH = {"load_mass": 0.62, "damping": 0.035, "friction_loss": 0.03, "a
 
 
 def write_pendulum_log(
-    path: Path,
-    seconds: float,
-    seed: int = 0,
-    silent: tuple[float, float] = (np.inf, np.inf),
-    **metadata: str,
+    path: Path, seconds: float, seed: int = 0, silent: tuple[float, float] = (np.inf, np.inf), **metadata: str
 ) -> Path:
     """Swing the bundled pendulum with other parameters; log states at 250 Hz and commands at 50 Hz.
 

@@ -283,10 +283,7 @@ def identify(
 
 
 def _split(
-    system: System,
-    logs: Log | Sequence[Log],
-    held_out: Log | Sequence[Log] | None,
-    fix: Mapping[str, float],
+    system: System, logs: Log | Sequence[Log], held_out: Log | Sequence[Log] | None, fix: Mapping[str, float]
 ) -> tuple[tuple[Log, ...], tuple[Log, ...]]:
     """The logs to fit, and those that only validate; refused where one is both."""
     given = _logs(system, logs, "logs")

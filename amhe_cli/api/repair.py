@@ -17,14 +17,7 @@ from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.core.files import plain
 from amhe_cli.core.log import Log
 from amhe_cli.core.yaml_file import merged
-from amhe_cli.estimation.core.result import (
-    AtHorizon,
-    Iteration,
-    MissingRow,
-    ParameterResult,
-    Reason,
-    Repair,
-)
+from amhe_cli.estimation.core.result import AtHorizon, Iteration, MissingRow, ParameterResult, Reason, Repair
 from amhe_cli.estimation.offline.clips import split_held_out, whole
 from amhe_cli.estimation.validation.prediction import improves, verdict
 from amhe_cli.system.system import System

@@ -53,12 +53,7 @@ def _a_cause(ctx: click.Context, param: click.Parameter, value: str | None) -> s
         flag_value="all",
         callback=_a_cause,
     ),
-    option(
-        "--method",
-        "Estimator; cmaes is that of SPI.",
-        ("linearised", "cmaes"),
-        default="linearised",
-    ),
+    option("--method", "Estimator; cmaes is that of SPI.", ("linearised", "cmaes"), default="linearised"),
     setting(
         "match",
         "Compare the motion under what drives it, the joints' efforts along it, or both.  [default: the "

@@ -44,13 +44,7 @@ def mhe_replay(session: Session, given: Given) -> None:
     """
     from amhe_cli.cli.progress import progress
     from amhe_cli.core.bundled import bundled_logs
-    from amhe_cli.estimation.online.replay import (
-        caution,
-        open_replay,
-        paced,
-        predictions,
-        replay_fits,
-    )
+    from amhe_cli.estimation.online.replay import caution, open_replay, paced, predictions, replay_fits
     from amhe_cli.report.replay import print_replay, write_replay
     from amhe_cli.report.replay_files import replay_record
     from amhe_cli.system.provenance import estimator_provenance, inputs_record

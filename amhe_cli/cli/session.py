@@ -178,10 +178,7 @@ class Session:
         stream = sys.stderr if stderr else sys.stdout
         plain = not stream.isatty() and "COLUMNS" not in os.environ
         return PlainConsole(
-            file=stream,
-            no_color=self.no_color or None,
-            width=PLAIN_WIDTH if plain else None,
-            soft_wrap=False,
+            file=stream, no_color=self.no_color or None, width=PLAIN_WIDTH if plain else None, soft_wrap=False
         )
 
     def record(self, **more: object) -> dict[str, object]:

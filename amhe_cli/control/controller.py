@@ -133,11 +133,7 @@ class Controller:
         self._basis = spline_basis(np.linspace(0.0, 1.0, settings.horizon), settings.knots)
 
     def plan(
-        self,
-        state: Any,
-        in_force: FloatArray,
-        belief: Mapping[str, float],
-        deadline: float | None = None,
+        self, state: Any, in_force: FloatArray, belief: Mapping[str, float], deadline: float | None = None
     ) -> Plan:
         """Plan from one period after the state on.
 

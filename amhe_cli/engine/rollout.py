@@ -123,10 +123,7 @@ class Starts:
     def at_half_steps(self) -> Starts:
         """The same starts for a model of half the time step: each input is held for two steps."""
         return replace(
-            self,
-            inputs=np.repeat(self.inputs, 2, axis=1),
-            history=2 * self.history,
-            lengths=2 * self.lengths,
+            self, inputs=np.repeat(self.inputs, 2, axis=1), history=2 * self.history, lengths=2 * self.lengths
         )
 
     def states(

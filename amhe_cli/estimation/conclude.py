@@ -23,13 +23,7 @@ from amhe_cli.estimation.offline.watch import Watch
 from amhe_cli.estimation.uncertainty import terms
 from amhe_cli.estimation.uncertainty.assumed import assumed
 from amhe_cli.estimation.uncertainty.derived import body_numbers, combinations, summary_of_efforts
-from amhe_cli.estimation.uncertainty.fit import (
-    TURNS,
-    FinalFit,
-    Finding,
-    doubled_prior,
-    final_fit,
-)
+from amhe_cli.estimation.uncertainty.fit import TURNS, FinalFit, Finding, doubled_prior, final_fit
 from amhe_cli.estimation.uncertainty.hierarchy import WithMeans, with_common_means
 from amhe_cli.estimation.uncertainty.ledger import LEAST, Ledger
 from amhe_cli.estimation.uncertainty.minimum import SHARE, Rival, better, report_minima, second_minimum
@@ -155,12 +149,7 @@ def conclude(search: Search, *, quick: bool = False) -> Identification:
     )
 
 
-def _evidence(
-    fit: FinalFit,
-    lines: WithMeans,
-    misfit: Sequence[Against],
-    rival: Rival | None,
-) -> Evidence:
+def _evidence(fit: FinalFit, lines: WithMeans, misfit: Sequence[Against], rival: Rival | None) -> Evidence:
     """Evidence for the verdict of each line; of a common mean the same is said as of its first value."""
     problem, against = fit.problem, blamed(fit) if fit.finding.done else {}
     moves, alone = doubled_prior(fit), [len(rows) == 1 for rows in lines.rows]

@@ -200,10 +200,7 @@ def concluded(search: Search, *, quick: bool = False) -> Identification:
 
 
 def _pose(
-    system: System,
-    training: Sequence[Log],
-    held_out: Sequence[Log] | None,
-    options: IdentifyOptions,
+    system: System, training: Sequence[Log], held_out: Sequence[Log] | None, options: IdentifyOptions
 ) -> tuple[Problem, list[Window]]:
     """The problem, and the clips to validate on."""
     clips = system.settings.clips

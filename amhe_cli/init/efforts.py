@@ -14,15 +14,7 @@ from amhe_cli.core.errors import AmheError
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
 from amhe_cli.init.drives import KINDS, linear_entry, measured_joints, short
-from amhe_cli.init.signals import (
-    NOISE,
-    Guess,
-    Topic,
-    free_bodies,
-    joint_of,
-    measured_as,
-    torque_entry,
-)
+from amhe_cli.init.signals import NOISE, Guess, Topic, free_bodies, joint_of, measured_as, torque_entry
 from amhe_cli.logs import read_signals
 from amhe_cli.system.description.efforts import unpowered_text
 from amhe_cli.system.model.elements import commanded, floats, heaviest_part, names_of

@@ -207,12 +207,7 @@ def _skeletons(model: mujoco.MjModel, topics: Sequence[Topic], guesses: Sequence
 
 
 def init_system(
-    model_path: Path,
-    logs: Sequence[Path],
-    out: Path,
-    *,
-    force: bool = False,
-    **how: Any,
+    model_path: Path, logs: Sequence[Path], out: Path, *, force: bool = False, **how: Any
 ) -> Proposal:
     """Write a system folder that `amhe identify` can use at once.
 
@@ -288,10 +283,7 @@ def _with_tables(topics: Sequence[Topic], model: mujoco.MjModel) -> list[Topic]:
 
 
 def _refuse_nothing(
-    model: mujoco.MjModel,
-    topics: Sequence[Topic],
-    guesses: Sequence[Guess],
-    parameters: Sequence[Guess],
+    model: mujoco.MjModel, topics: Sequence[Topic], guesses: Sequence[Guess], parameters: Sequence[Guess]
 ) -> None:
     measured = any("joints" in guess.entry or "body" in guess.entry for guess in guesses)
     if measured and parameters:

@@ -89,12 +89,7 @@ class SimTarget:
     """
 
     def __init__(
-        self,
-        plant: Simulation,
-        period: float,
-        stand: FloatArray,
-        realtime: bool = False,
-        lead: float = 0.0,
+        self, plant: Simulation, period: float, stand: FloatArray, realtime: bool = False, lead: float = 0.0
     ) -> None:
         self._plant, self._period, self._realtime, self._lead = plant, period, realtime, lead
         self._plan = self._next = Plan(0.0, period, np.asarray(stand)[None])

@@ -90,10 +90,7 @@ def horizon_record(names: Sequence[str], at: AtHorizon, best: int) -> dict[str, 
 
 
 def write_comparison(
-    folder: Path,
-    compared: Compared,
-    record: Mapping[str, Any],
-    provenance: Mapping[str, Any],
+    folder: Path, compared: Compared, record: Mapping[str, Any], provenance: Mapping[str, Any]
 ) -> None:
     """Write result.json and report.html, both or none.
 
@@ -142,10 +139,7 @@ def _page(compared: Compared, record: Mapping[str, Any], provenance: Mapping[str
                 table=comparison_table(names, horizons, best),
             ),
             *([Section("Each joint", table=_joint_table(names, horizons))] * (len(horizons[0].errors) > 1)),
-            Section(
-                "What was identified",
-                table=_model_table(names, compared.found),
-            ),
+            Section("What was identified", table=_model_table(names, compared.found)),
             *([Section("Next", text=lines[0], items=lines[1:], files=True)] if lines else ()),
         ],
     )

@@ -25,14 +25,7 @@ from amhe_cli.report import figures, numbers
 from amhe_cli.report.check import before_section
 from amhe_cli.report.held_out import better_text, held_out_section, held_out_statement
 from amhe_cli.report.missing import missing_section, repairs_section
-from amhe_cli.report.page import (
-    Section,
-    Statement,
-    Tone,
-    diverged_statement,
-    fixed_statement,
-    result_page,
-)
+from amhe_cli.report.page import Section, Statement, Tone, diverged_statement, fixed_statement, result_page
 from amhe_cli.report.parameters import budget_section, parameter_sections
 from amhe_cli.report.tables import NUMBER, STRONG, Table
 
@@ -53,11 +46,7 @@ _REFITTED = "The log is short: held-out clips judged a fit without them, and the
 #: Combinations that are named outside their own table.
 MAX_COMBINATIONS = 3
 
-_TONES: Mapping[str, Tone] = {
-    "weak": "mixed",
-    "prior": "mixed",
-    "model-sensitive": "bad",
-}
+_TONES: Mapping[str, Tone] = {"weak": "mixed", "prior": "mixed", "model-sensitive": "bad"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,10 +72,7 @@ ALONE = Beside()
 
 
 def identification_page(
-    result: Identification,
-    record: Mapping[str, Any],
-    provenance: Mapping[str, Any],
-    seen: Beside = ALONE,
+    result: Identification, record: Mapping[str, Any], provenance: Mapping[str, Any], seen: Beside = ALONE
 ) -> str:
     """The page as HTML.
 
@@ -279,8 +265,7 @@ def overlay_section(fits: Sequence[Fit], seen: Beside = ALONE, refitted: bool = 
     for fit in fits:
         clips.setdefault(fit.clip, []).append(fit)
     first = max(
-        clips.values(),
-        key=lambda own: (own[0].clip == seen.clip, own[0].held_out, figures.widest_gap(own)),
+        clips.values(), key=lambda own: (own[0].clip == seen.clip, own[0].held_out, figures.widest_gap(own))
     )
     others = [own for own in clips.values() if own is not first][: MAX_CLIPS - 1]
     return Section(

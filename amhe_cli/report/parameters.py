@@ -53,9 +53,7 @@ def parameter_sections(result: Identification, truth: Mapping[str, float]) -> It
         yield Section(title, table=_parameter_table(apart, truth, common), folded=True)
 
 
-def parted(
-    parameters: Sequence[ParameterResult],
-) -> tuple[list[ParameterResult], list[ParameterResult]]:
+def parted(parameters: Sequence[ParameterResult]) -> tuple[list[ParameterResult], list[ParameterResult]]:
     """Parameters with a line of their own and, of many, apart from them those that rest on their priors."""
     many = len(parameters) > _LINES
     found: tuple[list[ParameterResult], list[ParameterResult]] = [], []

@@ -55,10 +55,7 @@ def write_replay(
         provenance: Versions, hashes, seed and command.
         force: Write into a folder that is not empty.
     """
-    contents = {
-        "estimates.csv": estimates_csv(replay),
-        "result.json": json_text(record),
-    }
+    contents = {"estimates.csv": estimates_csv(replay), "result.json": json_text(record)}
     metadata = {
         "system": replay.system.name,
         "log": Path(replay.windows[0].log.source).name,

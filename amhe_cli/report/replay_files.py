@@ -144,10 +144,7 @@ def _cell(value: float) -> str:
 
 
 def write_log(
-    path: Path,
-    replay: Replay,
-    predicted: Sequence[Prediction | None],
-    metadata: Mapping[str, str],
+    path: Path, replay: Replay, predicted: Sequence[Prediction | None], metadata: Mapping[str, str]
 ) -> None:
     """Write estimates, true values, diagnostics and predictions, with the time stamps of the replayed log.
 

@@ -139,11 +139,7 @@ class StatesShown(Broadcast[Happening]):
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        ghosts: Sequence[str],
-        curves: Sequence[TimeCurve],
-        heading: Heading,
+        self, scene: Scene, ghosts: Sequence[str], curves: Sequence[TimeCurve], heading: Heading
     ) -> None:
         self._scene, self._next = scene, -np.inf
         super().__init__(live_page(scene, ghosts, curves, STEP, heading), lambda item: [self._message(item)])

@@ -100,11 +100,7 @@ def strip_data(viewing: Viewing, take: Take, scene: Scene, instants: int) -> dic
 
 
 def live_page(
-    scene: Scene,
-    ghosts: Sequence[str],
-    curves: Sequence[TimeCurve],
-    step: float,
-    heading: Heading,
+    scene: Scene, ghosts: Sequence[str], curves: Sequence[TimeCurve], step: float, heading: Heading
 ) -> str:
     """A page whose frames are still to come.
 

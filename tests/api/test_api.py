@@ -26,10 +26,7 @@ ROOT = Path(__file__).parents[2]
 #: Few clips and iterations: these tests are about the calls.
 CHEAP = {
     "clips": {"count": 6, "length": [0.4, 0.8]},
-    "identify": {
-        **{"iterations": 4},
-        **{"cmaes_iterations": 4},
-    },
+    "identify": {**{"iterations": 4}, **{"cmaes_iterations": 4}},
 }
 
 

@@ -293,10 +293,7 @@ def test_a_force_acts_where_a_signal_says() -> None:
     }
     parameters = {
         "mass": {"nominal": 1.5, "targets": [{"body": "puck", "set": "mass", "carry_inertia": False}]},
-        "inertia": {
-            "nominal": 0.02,
-            "targets": [{"body": "puck", "set": "inertia", "axis": "z"}],
-        },
+        "inertia": {"nominal": 0.02, "targets": [{"body": "puck", "set": "inertia", "axis": "z"}]},
     }
     made = system(PUCK, parameters, signals)
     result = amhe.identify(made, amhe.Log.from_arrays(pushed(0.0), made), threads=1)

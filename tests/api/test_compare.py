@@ -18,10 +18,7 @@ from amhe_cli.report.comparison import comparison_table, table_text
 from amhe_cli.system.friction_models import friction_models
 from tests.conftest import MODELS
 
-QUICK = {
-    "clips": {"count": 6},
-    "identify": {"iterations": 3, "first_state": "never"},
-}
+QUICK = {"clips": {"count": 6}, "identify": {"iterations": 3, "first_state": "never"}}
 #: Comparing does not depend on what a model lacks.
 pytestmark = pytest.mark.usefixtures("unexplained")
 

@@ -148,10 +148,7 @@ def test_ctrl_c_while_a_robot_is_let_down_keeps_the_run(monkeypatch, stop) -> No
 @pytest.mark.parametrize(
     ("report", "line"),
     [
-        (
-            LATE,
-            "error: trip plan_lost: no plan for 92 ms; the robot sits down, then its motors are damped",
-        ),
+        (LATE, "error: trip plan_lost: no plan for 92 ms; the robot sits down, then its motors are damped"),
         (HOT, "error: trip temperature: FR_hip_joint is 76 deg C hot; motors are damped"),
         (KEY, "stopped by the operator: key; motors are damped"),
         (SenderReport(Phase.DAMP, "remote", "L2+B"), "stopped by the operator: L2+B; motors are damped"),

@@ -161,8 +161,7 @@ def logging_command(*messages: str):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "code"),
-    [(["trial"], 0), (["trial", "--strict"], 3), (["--strict", "trial"], 3)],
+    ("arguments", "code"), [(["trial"], 0), (["trial", "--strict"], 3), (["--strict", "trial"], 3)]
 )
 def test_strict_makes_a_warning_an_exit_code(monkeypatch, capsys, arguments, code) -> None:
     monkeypatch.setitem(entry.amhe.commands, "trial", logging_command("a gap", "a gap", "a jump"))

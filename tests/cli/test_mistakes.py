@@ -37,10 +37,7 @@ IDENTIFY = [
     ("--system pendulu", "did you mean 'pendulum'"),
     ("--set clips.cuont=4", "did you mean 'count'"),
     ("--set clips.count", "clips.count=32"),
-    (
-        "--set control.samples=8",
-        "--set control.samples: a setting of the robot go1, which the system pendul",
-    ),
+    ("--set control.samples=8", "--set control.samples: a setting of the robot go1, which the system pendul"),
     ("--from 5 --to 3", "not after"),
     ("--from -1", "from"),
     ("--threads 0", "threads"),

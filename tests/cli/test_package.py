@@ -104,11 +104,7 @@ def loaded(*arguments: str) -> set[str]:
 
 @pytest.mark.medium
 @pytest.mark.parametrize(
-    "command",
-    [
-        ("mhe-replay", str(LOG), "--to", "1"),
-        ("identify", str(LOG), "--to", "3", "--max-time", "1"),
-    ],
+    "command", [("mhe-replay", str(LOG), "--to", "1"), ("identify", str(LOG), "--to", "3", "--max-time", "1")]
 )
 def test_a_pendulum_needs_no_robot_and_no_controller(command: tuple[str, ...], tmp_path: Path) -> None:
     modules = loaded(*command, "--out", str(tmp_path / "out"))

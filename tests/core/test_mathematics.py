@@ -54,12 +54,7 @@ def test_a_streamed_command_that_stops_is_a_gap():
     stamps = np.concatenate((np.arange(0.0, 2.0, 0.02), np.arange(4.0, 6.0, 0.02)))
     grid = np.arange(0.0, 6.0, 0.01)
     series = resample(
-        stamps,
-        stamps[:, None],
-        ("u",),
-        grid,
-        bridge=longest_bridge(stamps, 0.2, hold=True),
-        hold=True,
+        stamps, stamps[:, None], ("u",), grid, bridge=longest_bridge(stamps, 0.2, hold=True), hold=True
     )
     assert not series.valid[(grid > 2.3) & (grid < 3.9)].any()
     assert series.valid[(grid < 1.9) | (grid > 4.1)].all()

@@ -44,10 +44,7 @@ def swing(words: Mapping[str, float] = WORDS, signals: tuple[str, ...] = (), xml
 
 
 def rolled(
-    system: System,
-    *told: np.ndarray | float,
-    theta: np.ndarray | None = None,
-    engine: Engine | None = None,
+    system: System, *told: np.ndarray | float, theta: np.ndarray | None = None, engine: Engine | None = None
 ) -> np.ndarray:
     """Positions of candidates under COMMAND and what else the log says, shape (n, STEPS)."""
     theta = system.space.nominal[None] if theta is None else theta

@@ -16,10 +16,7 @@ from amhe_cli.system.system import System
 TRUTH = np.array([0.55, 0.03, 0.035, 0.006])
 NOISE = (0.002, 0.05)
 #: Few samples and clips: these tests are about rightness, not about the last digit.
-CHEAP = {
-    "clips": {"count": 6, "length": [0.4, 0.8]},
-    "identify": {"iterations": 8, "cmaes_iterations": 30},
-}
+CHEAP = {"clips": {"count": 6, "length": [0.4, 0.8]}, "identify": {"iterations": 8, "cmaes_iterations": 30}}
 
 
 @pytest.fixture(scope="session")

@@ -387,10 +387,7 @@ DATA = Path(__file__).parents[2].parent / "shared" / "data" / "cube_tosses"
 @pytest.mark.medium
 @pytest.mark.skipif(not DATA.is_dir(), reason="the real tosses (../shared/data/cube_tosses) are not here")
 def test_real_tosses_tell_friction_and_not_mass():
-    system = System.load(
-        "cube_toss",
-        {"identify": {"iterations": 10}, "clips": {"count": 12}},
-    )
+    system = System.load("cube_toss", {"identify": {"iterations": 10}, "clips": {"count": 12}})
     dt, logs = system.model.opt.timestep, sorted(DATA.glob("toss_*.mcap"))
     tosses = [read_signals(path, system.signals, dt, system.settings.logs) for path in logs]
     result = identify(system, tosses[:20], tosses[40:], IdentifyOptions(threads=2))

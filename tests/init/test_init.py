@@ -355,10 +355,7 @@ def test_states_in_a_foreign_type_are_named_with_an_example(
     tmp_path: Path, walker_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def topics(logs: object, msg_path: object) -> list[Topic]:
-        return [
-            Topic("/leg_cmd", "sensor_msgs/msg/JointState", 100.0, tuple(LEGS), ("position",)),
-            LOW_STATE,
-        ]
+        return [Topic("/leg_cmd", "sensor_msgs/msg/JointState", 100.0, tuple(LEGS), ("position",)), LOW_STATE]
 
     monkeypatch.setattr("amhe_cli.init.folder._topics", topics)
     (tmp_path / "robot.xml").write_text(walker())

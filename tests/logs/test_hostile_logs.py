@@ -634,12 +634,7 @@ def test_the_command_line_sets_them(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 @pytest.mark.parametrize(
-    ("version", "name"),
-    [
-        ("v2.1", "meta/info.json"),
-        ("v2.1", "data/chunk-000"),
-        ("v3.0", "meta/episodes"),
-    ],
+    ("version", "name"), [("v2.1", "meta/info.json"), ("v2.1", "data/chunk-000"), ("v3.0", "meta/episodes")]
 )
 def test_a_link_of_a_dataset_is_not_followed_out_of_it(version: str, name: str, tmp_path: Path) -> None:
     path = dataset(tmp_path, version)

@@ -205,10 +205,7 @@ def test_what_is_no_table_is_refused_in_one_line(content: str, message: str, tmp
         ("0,1,2\n0.1,1,2\n", r"no names; with pandas: pandas.read_csv.PATH, names=\[...\]"),
         ("time q1 q2\n0 1 2\n0.1 1 2\n", r"no comma, semicolon or tab .*read_csv.PATH, sep=...\)"),
         ("time|q1|q2\n0|1|2\n0.1|1|2\n", r"no comma, semicolon or tab .*read_csv.PATH, sep=...\)"),
-        (
-            "time,q1\n(s),[deg]\n0,1\n0.1,2\n",
-            r"has no number; write units as `q1 \[deg\]`.*skiprows=\[1\]",
-        ),
+        ("time,q1\n(s),[deg]\n0,1\n0.1,2\n", r"has no number; write units as `q1 \[deg\]`.*skiprows=\[1\]"),
         ("sep=;\ntime;q1\n0;1\n0,1;2\n", "different numbers of cells.*skiprows="),
         ("Made by hand, with care, twice\ntime,q1\n0,1\n0.1,2\n", "different numbers of cells.*skiprows="),
         (
@@ -271,11 +268,7 @@ SIGNALS = [
 
 
 def state(episode: int, size: float) -> np.ndarray:
-    angles = [
-        size * np.sin((1 + episode) * AT),
-        size * np.cos(AT),
-        50.0 + 0.0 * AT,
-    ]
+    angles = [size * np.sin((1 + episode) * AT), size * np.cos(AT), 50.0 + 0.0 * AT]
     return np.stack(angles, axis=1).astype(np.float32)
 
 

@@ -19,15 +19,7 @@ from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.study.cells import Cell, cell_of, setting_of, words
 from amhe_cli.study.executors import ATTEMPTS, gathered, local, pool_of, remote
 from amhe_cli.study.run import source_files
-from tests.clusters import (
-    Cluster,
-    deadly,
-    forgetful,
-    process_id_after,
-    reciprocal,
-    slow,
-    square,
-)
+from tests.clusters import Cluster, deadly, forgetful, process_id_after, reciprocal, slow, square
 from tests.study.cells_at_play import CODE
 
 

@@ -215,11 +215,7 @@ def test_zero_says_that_all_is_exact() -> None:
 
 @pytest.mark.parametrize(
     ("given", "text"),
-    [
-        ({"assumed": 1}, "assumed"),
-        ({"assumed": False}, "assumed"),
-        ({"assumed": {"gian": 0.1}}, "gain"),
-    ],
+    [({"assumed": 1}, "assumed"), ({"assumed": False}, "assumed"), ({"assumed": {"gian": 0.1}}, "gain")],
 )
 def test_other_settings_are_refused_in_words(given: dict[str, Any], text: str) -> None:
     with pytest.raises(ConfigError, match=text):

@@ -86,12 +86,7 @@ def test_every_mistake_names_the_path_of_its_key() -> None:
         made(parameters=wrong, signals=signals, settings={"clips": {"lenght": 1.0}})
     places = {line.split(": ")[0]: line for line in str(error.value).splitlines()}
     assert (
-        set(places)
-        == {
-            "parameters.damping.nominal",
-            "signals.other",
-            "settings.clips.lenght",
-        }
+        set(places) == {"parameters.damping.nominal", "signals.other", "settings.clips.lenght"}
         and "did you mean 'length'" in places["settings.clips.lenght"]
     )
     with pytest.raises(ConfigError) as error:

@@ -166,8 +166,7 @@ KINDS: dict[str, Maker] = {
         "report.html view.html", "mhe-replay example:pendulum -o OUT", "view OUT -o OUT/view.html"
     ),
     "run": of_commands(
-        "report.html",
-        "run --task t4 --set control.samples=5 --set control.horizon=8 --seconds 1.5 -o OUT",
+        "report.html", "run --task t4 --set control.samples=5 --set control.horizon=8 --seconds 1.5 -o OUT"
     ),
     "probe": of_commands(
         "report.html", "probe --system pendulum --seconds 3 --set probe.candidates=4 -o OUT"

@@ -59,12 +59,7 @@ class GpuEngine:
     precision = float(np.finfo(np.float32).eps)
 
     def __init__(
-        self,
-        model: mujoco.MjModel,
-        edits: ModelEdits,
-        input_spec: int,
-        sensors: bool,
-        devices: Sequence[str],
+        self, model: mujoco.MjModel, edits: ModelEdits, input_spec: int, sensors: bool, devices: Sequence[str]
     ) -> None:
         from amhe_cli.engine.gpu.card import Card, keep_current_cards  # which takes seconds to load
 

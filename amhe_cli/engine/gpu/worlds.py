@@ -224,9 +224,7 @@ class Worlds:
             ),
             self._reset,
             self._recorded(
-                kernels.begin,
-                self.count,
-                (*progress[:2], self._begins, *first, data.qpos, data.qvel),
+                kernels.begin, self.count, (*progress[:2], self._begins, *first, data.qpos, data.qvel)
             ),
         ]
         inputs = [*self._inputs(job, candidate, progress), *self._driven()]

@@ -302,10 +302,7 @@ def step_within(z: FloatArray, step: FloatArray, hessian: FloatArray, space: Par
 
 
 def weights(
-    cost: MatchingCost,
-    residual: FloatArray,
-    times: Sequence[float],
-    variances: Sequence[float] | None = None,
+    cost: MatchingCost, residual: FloatArray, times: Sequence[float], variances: Sequence[float] | None = None
 ) -> FloatArray:
     """Robust weight of every squared residual, shape (c, R).
 

@@ -32,14 +32,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from amhe_cli.core.arrays import (
-    AnyArray,
-    BoolArray,
-    FloatArray,
-    IntArray,
-    namespace_of,
-    to_host,
-)
+from amhe_cli.core.arrays import AnyArray, BoolArray, FloatArray, IntArray, namespace_of, to_host
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.engine.rollout import cut
 from amhe_cli.matching.cost import MatchingCost, Residuals
@@ -376,13 +369,7 @@ def _joined(
         rollouts, diverged = rollouts + part.rollouts, diverged + part.diverged
     curves = whole.pop("curves").swapaxes(0, 1)
     return Linearisation(
-        cost=cost,
-        first=first,
-        pairs=part.pairs,
-        curves=curves,
-        rollouts=rollouts,
-        diverged=diverged,
-        **whole,
+        cost=cost, first=first, pairs=part.pairs, curves=curves, rollouts=rollouts, diverged=diverged, **whole
     )
 
 

@@ -151,11 +151,7 @@ def log_name(signals: Sequence[Signal]) -> str:
 
 
 def write_log(
-    path: Path,
-    signals: Sequence[Signal],
-    samples: Samples,
-    about: Mapping[str, str],
-    start: float,
+    path: Path, signals: Sequence[Signal], samples: Samples, about: Mapping[str, str], start: float
 ) -> None:
     """Write samples as the signals' system reads them: a table (.csv) or messages (.mcap).
 

@@ -116,13 +116,7 @@ class Probe(Protocol):
         """
         ...
 
-    def run(
-        self,
-        plan: ProbePlan,
-        path: Path,
-        stopped: Callable[[], bool],
-        say: Say,
-    ) -> Ending:
+    def run(self, plan: ProbePlan, path: Path, stopped: Callable[[], bool], say: Say) -> Ending:
         """Run the plan and write its log."""
         ...
 
@@ -234,13 +228,7 @@ class ActuatorProbe:
             actuators=tuple(model.actuator(row).name for row in rows),
         )
 
-    def run(
-        self,
-        plan: ProbePlan,
-        path: Path,
-        stopped: Callable[[], bool],
-        say: Say,
-    ) -> Ending:
+    def run(self, plan: ProbePlan, path: Path, stopped: Callable[[], bool], say: Say) -> Ending:
         """See `Probe`; a simulation without a controller is over before anybody could stop it."""
         theta = np.array([self._truth[name] for name in self.system.space.names])
         log = self._played(self._plant, self._chosen, theta[None], 3)[0]

@@ -33,12 +33,7 @@ class Buffer:
     """
 
     def __init__(
-        self,
-        signals: tuple[Signal, ...],
-        window: float,
-        dt: float,
-        max_gap: float,
-        before: float = BEFORE,
+        self, signals: tuple[Signal, ...], window: float, dt: float, max_gap: float, before: float = BEFORE
     ) -> None:
         self._signals = signals
         self._signal_of = {signal.key(q): signal for signal in signals for q in signal.quantities}

@@ -33,11 +33,7 @@ _OWN_KEYS = ("parameters", "signals", "keyframe", "model", "boxes", "match", "un
 
 
 def load(
-    name_or_folder: str | Path,
-    settings: Mapping[str, Any] | None,
-    schema: type[Settings],
-    *,
-    warn: bool,
+    name_or_folder: str | Path, settings: Mapping[str, Any] | None, schema: type[Settings], *, warn: bool
 ) -> SystemData:
     """See `System.load`."""
     folder, overrides = find_system(name_or_folder), settings or {}

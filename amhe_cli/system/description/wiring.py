@@ -218,12 +218,7 @@ def units_of(quantity: str, joints: Sequence[int] = ()) -> tuple[str, ...]:
 
 
 def state_channel(
-    key: str,
-    quantity: str,
-    source: str,
-    columns: Iterable[int],
-    entry: SignalEntry,
-    units: tuple[str, ...],
+    key: str, quantity: str, source: str, columns: Iterable[int], entry: SignalEntry, units: tuple[str, ...]
 ) -> Channel:
     """Channel of a quantity that sets the state of a rollout, and is compared if the entry says so."""
     noise, compared = entry.noise.get(quantity), entry.compares(quantity)

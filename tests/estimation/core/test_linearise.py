@@ -23,13 +23,7 @@ from amhe_cli.estimation.core.information import (
     noise_scale,
     weights,
 )
-from amhe_cli.estimation.core.linearise import (
-    FirstStates,
-    Linearisation,
-    averaged,
-    linearise,
-    without_jitter,
-)
+from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, averaged, linearise, without_jitter
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.matching.cost import MatchingCost
 from tests.estimation.conftest import TRUTH

@@ -30,10 +30,7 @@ from amhe_cli.matching.cost import MatchingCost
 ARMS = ("left", "right")
 TRUTH = {"left_damping": 0.08, "left_armature": 0.012, "right_damping": 0.15, "right_armature": 0.02}
 EXACT = dict.fromkeys(AssumedSettings.model_fields, 0.0)
-CHEAP = {
-    "clips": {"length": [0.5, 1.0]},
-    "identify": {"assumed": EXACT | {"time_step": 1.0}},
-}
+CHEAP = {"clips": {"length": [0.5, 1.0]}, "identify": {"assumed": EXACT | {"time_step": 1.0}}}
 
 
 def spec(apart: bool) -> mujoco.MjSpec:

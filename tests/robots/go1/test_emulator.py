@@ -101,10 +101,7 @@ def test_time_based_changes_count_from_the_first_push() -> None:
 
 def test_the_port_answers_the_last_sender_and_takes_only_good_commands() -> None:
     port = RobotPort("127.0.0.1", 0, Faults())
-    with (
-        udp() as one,
-        udp() as other,
-    ):
+    with udp() as one, udp() as other:
         for client in (one, other):
             client.bind(("127.0.0.1", 0))
             client.settimeout(1.0)

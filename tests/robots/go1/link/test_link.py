@@ -504,10 +504,7 @@ def test_the_setting_of_the_checksum_holds_for_states_too(puppet: Puppet) -> Non
 
 def test_what_waited_unread_is_as_old_as_it_may_be() -> None:
     """A sender that stalled must not take old states for new ones."""
-    with (
-        udp() as robot,
-        closing(connected("127.0.0.1", bound_port(robot))) as end,
-    ):
+    with udp() as robot, closing(connected("127.0.0.1", bound_port(robot))) as end:
         ours = RobotSocket(end, CLOCK)
         assert list(ours.received(0.0)) == []
         looked = CLOCK.now()
@@ -520,11 +517,7 @@ def test_what_waited_unread_is_as_old_as_it_may_be() -> None:
 
 
 def test_states_from_another_port_are_not_taken() -> None:
-    with (
-        udp() as robot,
-        udp() as stranger,
-        closing(connected("127.0.0.1", bound_port(robot))) as end,
-    ):
+    with udp() as robot, udp() as stranger, closing(connected("127.0.0.1", bound_port(robot))) as end:
         ours = RobotSocket(end, CLOCK)
         ours.send(b"hello")
         _, peer = robot.recvfrom(9)

@@ -130,8 +130,7 @@ def no_wakeup(processes: Processes) -> Callable[..., int]:
 
 
 @pytest.mark.parametrize(
-    ("what", "step"),
-    [(target, "poses"), (target, "sender"), (target, "signals"), (calibration, "sender")],
+    ("what", "step"), [(target, "poses"), (target, "sender"), (target, "signals"), (calibration, "sender")]
 )
 def test_a_step_that_fails_leaves_nothing_behind(
     what: Callable[[Link, PoseFeed], AbstractContextManager], step: str, port: int, processes: Processes,
