@@ -108,7 +108,8 @@ def _recorded(system: System, logs: Sequence[Log], texts: Sequence[str]) -> Iter
         for wrong in foremost(system, log):
             yield Finding("recording", wrong.place, wrong.what, WRONG, f"{wrong.remedy} in its signal")
     for text in uncommanded(system):
-        cure = "log its commands: columns `command_position_NAME`, or a topic that `signals` names"
+        columns = "columns `command_position_NAME` of servos, `command_effort_NAME` of motors"
+        cure = f"log its commands: {columns}, or a topic that `signals` names"
         yield Finding("recording", "log", text, WRONG, cure)
     sources = {log.source for log in logs}
     for text in dict.fromkeys([*texts, *(text for log in logs for text in remarks(system, log))]):

@@ -133,6 +133,26 @@ def test_degrees_without_a_velocity_are_found_by_range(
     assert "looks like degrees (shoulder, elbow); unit: deg" in line
 
 
+@pytest.mark.parametrize(("base", "doubted"), [("<freejoint/>", False), ("", True)])
+def test_a_wheel_of_a_base_that_drives_turns_for_long(
+    base: str, doubted: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Without a velocity: of a joint that hangs on the world, more than 50 rad look like degrees."""
+    spec = mujoco.MjSpec.from_string(
+        f"""<mujoco><worldbody><body name="base">{base}<geom size=".1" mass="1"/><body name="wheel">
+        <joint name="hub" axis="0 1 0"/><geom size=".1" mass="1"/></body></body></worldbody></mujoco>"""
+    )
+    damping = {"targets": [{"joint": "hub", "set": "damping"}], "nominal": 0.1}
+    signals: dict[str, Any] = {"wheels": {"joints": ["hub"], "noise": {"position": 0.001}}}
+    arrays = {"wheels": {"time": TIMES, "position": 25.0 * TIMES[:, None]}}
+    if base:
+        signals["pose"] = {"body": "base"}
+        quaternion = np.tile([1.0, 0.0, 0.0, 0.0], (600, 1))
+        arrays["pose"] = {"time": TIMES, "position": np.zeros((600, 3)), "orientation": quaternion}
+    cart = amhe.System.from_model(spec, name="cart", parameters={"damping": damping}, signals=signals)
+    assert ("looks like degrees" in said(arrays, cart, caplog)) == doubted
+
+
 def test_commands_in_degrees_that_joints_hardly_follow_are_found_by_range(
     arm: amhe.System, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -52,7 +52,7 @@ def _prior_of(parameter: Parameter, body: str, bodies: Collection[str]) -> Sourc
 def _width(parameter: Parameter) -> tuple[float, str]:
     """Sd of a prior, as people read it."""
     if parameter.log:
-        return 100.0 * float(np.expm1(parameter.prior_sd)), "%"
+        return 100.0 * parameter.prior_sd, "%"
     return parameter.prior_sd, parameter.unit.replace("-", "")
 
 

@@ -17,7 +17,7 @@ from amhe_cli.core.log import Log
 from amhe_cli.core.signals import Series
 from amhe_cli.core.yaml_file import flow
 from amhe_cli.system.description.data import Input, SystemData
-from amhe_cli.system.model.elements import commanded
+from amhe_cli.system.model.elements import commanded, floats
 from amhe_cli.system.model.gaps import gaps
 
 #: A state that is sampled more seldom [s] is no record of motion.
@@ -162,7 +162,8 @@ def _of_states(model: mujoco.MjModel, log: Log, key: str, joints: list[int]) -> 
             causes.append(((text if slope else f"{text}, perhaps unit: {unit}", known), name))
             continue
         # a wheel turns for long, and its velocity agrees; both may be in degrees where a joint has an end
-        if not of_unit and (_beyond(model, row, largest) or (hinge and slope is None and largest > _LARGEST)):
+        wheel = slope is not None or (not model.jnt_limited[row] and floats(model, row))
+        if not of_unit and (_beyond(model, row, largest) or (hinge and not wheel and largest > _LARGEST)):
             far[name] = largest
     if far:
         text = f"position reaches {max(far.values()):.4g} rad: looks like degrees"
