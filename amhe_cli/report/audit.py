@@ -254,7 +254,7 @@ def _page(
         *[
             Section(
                 "Estimated beside them",
-                text="What no file says and the motion depends on, such as zeros of encoders and commands, and a delay.",
+                text="What no file says and the motion depends on, such as zeros and a delay.",
                 table=beside_table(found.beside),
             )
         ]
