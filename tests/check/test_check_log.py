@@ -238,6 +238,7 @@ SPOILT = {
     "no armature": ((' armature=".01"', ""), "drive", "right_hand"),
     "gain in counts": (('kp="20"', 'kp="20000"'), "stiff", "right_hand"),
     "limit of the motor": (('forcerange="-9 9"', 'forcerange="-.1 .1"'), "weak", "right_arm"),
+    "friction that no drive overcomes": (('frictionloss=".1"', 'frictionloss="10"'), "weak", "right_arm"),
     "targets in degrees": (('kp="20" ', 'kp="20" ctrlrange="-90 90" '), "range", "right_hand"),
     "range in radians taken for degrees": (('range="-90 90"', 'range="-1.57 1.57"'), "range", "right_arm"),
     "axes of another frame": (
