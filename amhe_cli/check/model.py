@@ -244,7 +244,12 @@ def _limits(model: mujoco.MjModel, joints: IntArray) -> Iterator[Doubt]:
             carries = f"its {limit:.3g} N m hold less than the {weight:.3g} N m of gravity"
             yield "weak", name, carries, float(weight / limit)
             dry = float(model.dof_frictionloss[model.jnt_dofadr[joint]])
-            yield "weak", name, f"its {limit:.3g} N m do not overcome {dry:.3g} N m of dry friction", dry / limit
+            yield (
+                "weak",
+                name,
+                f"its {limit:.3g} N m do not overcome {dry:.3g} N m of dry friction",
+                dry / limit,
+            )
         error = max(limit, 0.0) / gear / max(stiffness, 1e-9)
         hinge = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
         takes = f"{np.degrees(error):.2g} degrees of error already take all of the force"

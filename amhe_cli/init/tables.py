@@ -160,6 +160,8 @@ def _meaning(
     command = driving or bool(wanted & set(rest)) or bool(COMMANDS & set(words(table)))
     measured = [word for word in rest if word not in wanted | _DRIVING and word in _MEASURED]
     rank, entry = _MEASURED.index(measured[0] if measured else ""), _whose(rest, wanted)
+    if command and entry in drives:  # as of `command_effort_left_motor`
+        entry = _bare(drives[entry][0])
     return _Meaning(name, quantity, command, rank, entry, int(count or 0))
 
 

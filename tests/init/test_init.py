@@ -607,6 +607,17 @@ def test_joints_keep_words_that_columns_use_for_what_they_hold(joints: str) -> N
         assert topic.entries == tuple(some)
 
 
+@pytest.mark.parametrize("column", ["command_effort_{}_motor", "{}_motor_torque_cmd", "{}_motor"])
+def test_columns_of_commands_are_named_as_joints_or_as_actuators(column: str) -> None:
+    joints = ["left_wheel_joint", "right_wheel_joint"]
+    columns = tuple(column.format(side) for side in ("left", "right"))
+    table = Topic("log", "table", 100.0, ("time", *(f"q_{joint}" for joint in joints), *columns), ())
+    drives = {f"{side}_motor": (f"{side}_wheel_joint", "effort") for side in ("left", "right")}
+    states, commands = topics_in(table, joints, drives, alone=True)
+    assert states.entries == commands.entries == tuple(joints)
+    assert commands.columns == {"effort": columns}
+
+
 def renamed(text: str, **words: str) -> str:
     """A table with other words, and numbers from 0, in the names of its columns."""
     head, rows = text.split("\n", 1)
