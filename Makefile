@@ -78,9 +78,8 @@ $(BIN)/python:
 	@touch $@
 
 .venv/.installed-dev: pyproject.toml | $(BIN)/python
-	@# uv takes a fifth of pip's time; where there is none, pip does it. Compiled by all cores, where pip takes one.
-	@{ $(PIP) install uv && $(BIN)/uv pip install --quiet --python .venv --editable '.[dev]'; } \
-		|| $(PIP) install --no-compile --editable '.[dev]'
+	@# compiled by all cores, where pip takes one
+	@$(PIP) install --no-compile --editable '.[dev]'
 	@$(BIN)/python -m compileall -qq -j 0 .venv/lib || true
 	@# the maker's own library, to test against: not for every Python, and what it says it needs, it does not
 	@$(PIP) install --no-deps --only-binary :all: unitree-legged-sdk==3.8.20231105 2>/dev/null || true
