@@ -48,6 +48,7 @@ def compare(session: Session, given: Given) -> None:
     from amhe_cli.api.compare import compare as run
     from amhe_cli.cli.progress import of_words, progress
     from amhe_cli.report.comparison import comparison_table
+    from amhe_cli.report.page import print_page
     from amhe_cli.report.tables import rich_table
 
     names, more = _parted(given.systems)
@@ -75,7 +76,7 @@ def compare(session: Session, given: Given) -> None:
         console.print(text)
     if lines:
         console.print("\n".join(lines), soft_wrap=True)
-    console.print(f"report: {folder / 'report.html'}", soft_wrap=True)
+    print_page(folder, console)
 
 
 def _parted(given: Sequence[str]) -> tuple[list[str], list[Path]]:

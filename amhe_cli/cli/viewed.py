@@ -141,7 +141,6 @@ class Viewed:
         """What is shown beside the logs, as arguments of `view_of`.
 
         Args:
-            system: The system.
             first: The first of the logs.
             known: The belief that is shown; None: that at each time of what was recorded.
 

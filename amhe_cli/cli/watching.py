@@ -84,8 +84,6 @@ def watching_windows(
     """Show windows of an online estimator, under its belief and the first one.
 
     Args:
-        session: The session.
-        system: The system.
         start: Values of the first belief, shape (d,).
         about: Where the samples come from, in words.
     """

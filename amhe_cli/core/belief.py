@@ -394,7 +394,6 @@ def belief_for(system: Described, given: Belief | str | Path, belief_anyway: boo
     """A belief that a system can start from: one in memory, or that of a file.
 
     Args:
-        system: The system.
         given: The belief, or the path of its file.
         belief_anyway: Take a belief about another model too, and only warn of what has changed.
 

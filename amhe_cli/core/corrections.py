@@ -41,7 +41,6 @@ def cleaned(
 
     Args:
         signal: The signal; commands are taken as they are.
-        quantity: The quantity.
         values: Samples (n, k); NaN where a message lacks the value.
         times: Their times [s], shape (n,).
         settings: `logs.spikes` and `logs.repeats`.
@@ -180,7 +179,6 @@ def corrected(
 
     Args:
         series: `signal.quantity` -> Series.
-        signals: The signals.
         dt: Step of the clock [s].
         begun: Time of row 0 from the log's start [s]; None: a running system, whose times have no start.
     """

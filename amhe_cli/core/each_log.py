@@ -91,7 +91,6 @@ def values_on(log: Log, model: ParameterSpace, space: ParameterSpace, theta: Flo
     """Values of the model's parameters on one log.
 
     Args:
-        log: The log.
         model: Parameters of the model, d of them.
         space: Unknowns of the search.
         theta: Candidates of the search, shape (p, k).
@@ -237,7 +236,6 @@ def fixing(logs: Sequence[Log], names: Collection[str], stated: Mapping[str, flo
     """The logs where some parameters are not searched.
 
     Args:
-        logs: The logs.
         names: The parameters; no log has a value of its own of them.
         stated: Those of them of which only some logs know the value -> the value of the others.
     """

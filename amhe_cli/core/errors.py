@@ -11,7 +11,6 @@ def printable(text: str, keep: str = "") -> str:
     r"""A text with its invisible characters as escapes: ESC as '\x1b', a line feed as '\n'.
 
     Args:
-        text: The text.
         keep: Invisible characters that stay.
     """
     odd = {c for c in set(text) if not c.isprintable() and c not in keep}

@@ -78,7 +78,6 @@ def filling(folder: Path, keep: bool = False, force: bool = True) -> Iterator[Pa
     is replaced in one rename.
 
     Args:
-        folder: The folder.
         keep: Move the files also if one of them could not be written, as on a full disk.
         force: Write into a folder that is not empty.
 

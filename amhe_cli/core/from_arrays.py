@@ -71,7 +71,6 @@ def on_grid(
     Args:
         grid: Instants of the clock [s], uniform, shape (T,).
         times: Times of the samples [s], strictly increasing, shape (n,).
-        signal: The signal.
         samples: Quantity -> samples in SI, shape (n, k), or those of what it is the derivative of.
         columns: Names of the columns of each.
         max_gap: Longest silence that is bridged [s].

@@ -66,7 +66,6 @@ class Bounds:
     """Bounds of what driven joints may do, beside their limits: speed, force, contact.
 
     Args:
-        system: The system.
         actuators: Rows of the actuators that are commanded, shape (k,).
         speed: Largest speed of each actuator's joint [rad/s or m/s], shape (k,).
     """

@@ -166,7 +166,6 @@ def effort_variance(
     """Variance of the efforts along a motion that errors of the motion make, shape (T, nv).
 
     Args:
-        model: The model.
         qpos, qvel, qacc: The motion, as in `forces_along`.
         sd: Sd of the errors of positions, velocities and accelerations, shape (3, nv).
     """

@@ -39,7 +39,6 @@ def open_engine(
     """An engine for the rollouts of a system.
 
     Args:
-        system: The system.
         threads: Number of CPU threads; results do not depend on it.
         executor: Executor whose workers compute the rollouts, instead of threads of this process; it must
             stay open.
@@ -134,7 +133,6 @@ def contact_variants(engine: Engine, model: mujoco.MjModel) -> dict[str, Engine]
     that follows it absorbs errors of the contact model.
 
     Args:
-        engine: The engine.
         model: Model of the engine.
 
     Returns:

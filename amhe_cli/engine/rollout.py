@@ -337,7 +337,6 @@ class Engine(Protocol):
         """The same engine, its threads and workers included, on another model of the same layout.
 
         Args:
-            model: The model.
             edits: How theta is written into it; None: as before.
         """
         ...

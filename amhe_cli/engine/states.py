@@ -24,7 +24,6 @@ def integrated(model: mujoco.MjModel, qpos: FloatArray, delta: FloatArray) -> Fl
     """Positions moved by steps in the tangent space, as `mj_integratePos` moves them.
 
     Args:
-        model: The model.
         qpos: Positions, shape (..., nq).
         delta: Steps, shape (..., nv); rotations of free and ball joints are in the body's own frame.
 
@@ -50,7 +49,6 @@ def home(model: mujoco.MjModel, keyframe: int | None, input_spec: int) -> tuple[
     """State and inputs of everything that no signal gives: qpos, shape (nq,), and inputs, shape (nu,).
 
     Args:
-        model: The model.
         keyframe: Number of the keyframe that holds them; None: the model's own default.
         input_spec: mjtState bits of the input vector.
     """
@@ -85,7 +83,6 @@ def first_activations(model: mujoco.MjModel, qpos: FloatArray, controls: FloatAr
     bristles, currents and the integral of a controller start at zero.
 
     Args:
-        model: The model.
         qpos: First positions, shape (n, nq).
         controls: First controls, shape (n, nu).
     """
@@ -174,7 +171,6 @@ def nearest(
     """Smallest distance [m] of some pairs of geoms, zero or less where they touch, and the pair that has it.
 
     Args:
-        model: The model.
         qpos, inputs: Positions (n, nq), and the inputs there (n, nu): they may move mocap bodies.
         input_spec: mjtState bits of the inputs.
         pairs: The pairs, by rows of geoms.
@@ -198,7 +194,6 @@ def contact_forces(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
     """Sum of the contact forces between each two touching bodies, shape (m, 6).
 
     Args:
-        model: The model.
         data: Its state after `mj_forward` or a step.
 
     Returns:

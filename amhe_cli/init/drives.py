@@ -92,8 +92,6 @@ def joint_parameters(
 
     Args:
         spec: The model's source: it has the classes of joints.
-        model: The model.
-        joints: The joints.
         group: Equal drives share theirs.
     """
     groups = _groups(spec, model, joints) if group else {joint: [joint] for joint in joints}
@@ -181,7 +179,6 @@ def servo_numbers(
     """Stiffness, damping, limit of force and filter of each servo, as far as it has them.
 
     Args:
-        model: The model.
         actuators: Its actuators; motors are left out, as their gain is 1 and no guess.
         guessed: Nobody has measured the gains: `init` added the actuators.
         numbers: Words of `set:` of the numbers that are meant.
@@ -253,7 +250,6 @@ def actuator_parameters(
 
     Args:
         spec: The model's source: it has the classes of joints.
-        model: The model.
         signals: Signals of the log; every joint that it measures has a drive.
         guessed_gains: Whether `init` added the actuators; then the masses are known better than the gains.
         group: Equal drives share their parameters, all but the zero of the encoder.

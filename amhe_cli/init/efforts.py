@@ -145,7 +145,6 @@ def effort_parameters(model: mujoco.MjModel, ranges: Mapping[str, float]) -> Ite
     """Inertia of each link, and friction, armature and the torque sensor's zero of each joint.
 
     Args:
-        model: The model.
         ranges: Range of the measured torque of each joint.
     """
     links = {int(model.joint(joint).bodyid[0]) for joint in ranges}

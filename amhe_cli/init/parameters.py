@@ -45,7 +45,6 @@ def guess_parameters(
 
     Args:
         spec: The model's source.
-        model: The model.
         signals: Signals of the log; only joints that it moves and measures get parameters.
         guessed_gains: Whether `init` added the actuators, so that the servos' gains are unknown.
     """

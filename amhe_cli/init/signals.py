@@ -111,7 +111,6 @@ def notes_on(
     """Sentences about what was not found, and which topics were not used.
 
     Args:
-        model: The model.
         topics: Topics of the log.
         guesses: The signals.
         efforts: Efforts are matched, whatever commands the joints.

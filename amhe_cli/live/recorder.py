@@ -10,8 +10,7 @@ import logging
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -99,10 +98,8 @@ class Recorder:
             self._log.attach(name, "application/yaml", text.encode())
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._log.__exit__(kind, error, trace)
+    def __exit__(self, *error: Any) -> None:
+        self._log.__exit__(*error)
 
     def write(self, cycle: Cycle) -> None:
         """Append all messages of a cycle."""

@@ -35,7 +35,6 @@ def estimator_of(
     """The estimator of a watch; its arguments are all it needs, also in another process.
 
     Args:
-        system: The system.
         start: Belief to start from; None: the system's prior.
         seed: Seed of the random numbers.
         kind: What computes the rollouts.
@@ -50,7 +49,6 @@ def watch(system: System, source: LiveSource, worker: Worker) -> Iterator[Estima
     """What happens until the source is over: estimates, events in words, and None after each look.
 
     Args:
-        system: The system.
         source: Gives the samples.
         worker: Runs the estimator.
 

@@ -82,7 +82,6 @@ def on_one_clock(
 
     Args:
         path: The log, for the messages.
-        signals: The signals.
         samples: Name of each signal -> its samples.
         settings: The clock to use, and whether to align topics.
 

@@ -77,7 +77,6 @@ def members(path: Path, system: Measured | None = None) -> list[Member]:
     """The logs of a data set file; of any other path that log, or the episodes of a LeRobot dataset.
 
     Args:
-        path: The path.
         system: The system that the file's parameters and signals must be of; None: any.
 
     Raises:

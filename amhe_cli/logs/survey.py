@@ -102,7 +102,6 @@ class SignalCheck:
     """Whether a log has what one signal of a system needs.
 
     Args:
-        signal: The signal.
         problem: Why the signal cannot be read, in words; None if it can.
         valid: Share of the time in which the signal is measured, gaps left out.
     """

@@ -120,7 +120,6 @@ class MatchingCost:
         """The same clips rolled out by another engine.
 
         Args:
-            engine: The engine.
             system: The system with further parameters, for an engine that knows them; None: as before.
         """
         other = copy.copy(self)

@@ -173,7 +173,6 @@ def measured_effort(
 
     Args:
         channel: The channel of that column.
-        window: The window.
         path, own: The log's path, and which of its instants lie in the window.
     """
     values, whole, sds = _filtered(path, window.log, channel.series)

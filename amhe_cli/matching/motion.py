@@ -68,7 +68,6 @@ def motion_of(system: System, log: Log) -> MeasuredMotion:
     Args:
         system: The system: its signals say which positions are measured. Joints that follow a measured one
             move along; what nothing measures stands where the system has it at home.
-        log: The log.
 
     Raises:
         LogError: No stretch of the log, where all positions are measured, is long enough.

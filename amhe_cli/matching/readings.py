@@ -22,7 +22,6 @@ def reading_of(channel: Channel, reading: Reading | None, numbers: FloatArray, t
     """Sensor reading of true values.
 
     Args:
-        channel: The channel.
         reading: Its reading; None: it shows the truth.
         numbers: Numbers of the calibration under p candidates, shape (p, n).
         true: Values of the model, shape (p, ..., columns), numpy's or on a device.
@@ -69,7 +68,6 @@ def state_errors(system: System, theta: FloatArray, starts: Starts) -> FloatArra
     """Errors of recorded first states that are due to calibration and gaps.
 
     Args:
-        system: The system.
         theta: Parameters of p candidates, shape (p, d).
         starts: First states of c clips, as recorded.
 

@@ -36,7 +36,6 @@ def first_states(
 
     Args:
         system: The system; its state channels say which signals give which part of the state.
-        windows: The windows.
         home: Positions of everything that no signal gives, shape (nq,).
         smoothing: Positions are fitted to the measurements within this time [s] before and after the
             start; 0 takes them as recorded.

@@ -24,7 +24,6 @@ class Observed:
     """Measurements of one channel on c clips, at most s on each.
 
     Args:
-        channel: The channel.
         rows: Row (instant - 1) of each sample in a rollout, shape (c, s); padded with 0.
         memory: Steps that the sensor averages over, the sample's own the last.
         measured: The measurements, shape (c, s, columns).
@@ -66,7 +65,6 @@ class Clips:
     """c windows as arrays.
 
     Args:
-        windows: The windows.
         starts: First states and inputs of the windows, for an engine.
         observed: What the compared channels measured.
         counts: Number of scalar measurements in each clip, shape (c,); at least 1.
@@ -90,7 +88,6 @@ def prepare(
     """Lay out windows of a system's logs.
 
     Args:
-        system: The system.
         windows: The windows; a series that a window's log has differentiated is no measurement of it.
         noise_scale: Channel -> factor on its declared noise sd.
         smoothing: First positions are smoothed over this time [s], see `first_states`.

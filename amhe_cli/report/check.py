@@ -52,7 +52,6 @@ def said_before(system: System, more: Iterable[Finding], console: Console | None
     """Check the model of a system before a fit or a probe, and print the worst findings.
 
     Args:
-        system: The system.
         more: What was found in logs.
         console: Where to print; None: nowhere.
 

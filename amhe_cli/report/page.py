@@ -5,13 +5,15 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 from markupsafe import Markup
 from rich.console import Console
+from rich.text import Text
 
 from amhe_cli.report import numbers
-from amhe_cli.report.tables import Table
+from amhe_cli.report.tables import Table, rich_table
 from amhe_cli.web.page import template
 
 Tone = Literal["good", "mixed", "bad"]
@@ -26,11 +28,24 @@ class Statement:
     link: str = ""
 
 
-def print_statements(statements: Iterable[Statement], console: Console) -> None:
-    """Print what a page states, in the colour of its news."""
+def print_result(
+    head: str | Text, table: Table, statements: Iterable[Statement], folder: Path, console: Console
+) -> None:
+    """Print what the page of a result says first, in the colour of its news, and where it is."""
     styles: Mapping[Tone, str] = {"good": "", "mixed": "yellow", "bad": "red"}
+    console.print(head, soft_wrap=True)
+    console.print()
+    console.print(rich_table(table))
+    console.print()
     for one in statements:
         console.print(one.text, style=styles[one.tone], soft_wrap=True)
+    print_page(folder, console)
+
+
+def print_page(folder: Path, console: Console) -> None:
+    """Print where the page in a folder is, unless it could not be made."""
+    if (folder / "report.html").exists():
+        console.print(Text(f"report: {folder / 'report.html'}", overflow="fold"), soft_wrap=True)
 
 
 def fixed_statement(fixed: Mapping[str, float], exact: Sequence[str] = ()) -> Iterator[Statement]:

@@ -14,7 +14,7 @@ from amhe_cli.core.errors import AmheError
 from amhe_cli.logs import read_log
 from amhe_cli.report import numbers
 from amhe_cli.report.folder import write_page
-from amhe_cli.report.page import Section, Statement, cell, fixed_statement, result_page
+from amhe_cli.report.page import Section, Statement, cell, fixed_statement, print_page, result_page
 from amhe_cli.report.shown import log_figure
 from amhe_cli.report.tables import NUMBER, Table, rich_table
 from amhe_cli.system.system import System
@@ -46,7 +46,7 @@ def print_achieved(record: Mapping[str, Any], following: str, folder: Path, cons
         _print_known(record, columns, console)
         console.print(AT_BEST, style="dim")
         console.print()
-    console.print(Text(f"report: {folder / 'report.html'}", overflow="fold"), soft_wrap=True)
+    print_page(folder, console)
     console.print(Text(f"next: {following}", overflow="fold"), soft_wrap=True)
 
 

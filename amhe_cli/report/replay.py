@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 from rich.console import Console
-from rich.text import Text
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.files import json_text
@@ -24,11 +23,11 @@ from amhe_cli.report.page import (
     Tone,
     diverged_statement,
     fixed_statement,
-    print_statements,
+    print_result,
     result_page,
 )
 from amhe_cli.report.replay_files import MARKS, estimates_csv, write_log
-from amhe_cli.report.tables import NUMBER, STRONG, Table, rich_table
+from amhe_cli.report.tables import NUMBER, STRONG, Table
 from amhe_cli.web.plots import Curve, Mark, Panel, figure
 
 #: An honest 90 % interval holds the truth in 90 % of all cases; a share below this one is pointed out.
@@ -48,7 +47,6 @@ def write_replay(
 
     Args:
         folder: Folder of the files; made if it does not exist.
-        replay: The replay.
         predicted: For each estimate its prediction of the newest part of its window.
         fits: Measured against predicted in a few windows.
         record: Content of result.json.
@@ -77,12 +75,8 @@ def print_replay(record: Mapping[str, Any], folder: Path, console: Console) -> N
         folder: Folder of the files.
         console: Console on stdout.
     """
-    console.print(f"{record['log']}, at {record['end_s']:.2f} s", soft_wrap=True)
-    console.print()
-    console.print(rich_table(parameter_table(record)))
-    console.print()
-    print_statements(statements(record), console)
-    console.print(Text(f"report: {folder / 'report.html'}", overflow="fold"), soft_wrap=True)
+    head = f"{record['log']}, at {record['end_s']:.2f} s"
+    print_result(head, parameter_table(record), statements(record), folder, console)
 
 
 def replay_page(
@@ -91,7 +85,6 @@ def replay_page(
     """The page as HTML.
 
     Args:
-        replay: The replay.
         fits: Measured against predicted in a few windows.
         record: Content of result.json.
         provenance: Versions, hashes, seed and command.

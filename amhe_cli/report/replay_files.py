@@ -150,7 +150,6 @@ def write_log(
 
     Args:
         path: The .mcap file.
-        replay: The replay.
         predicted: For each estimate its prediction of the newest part of its window.
         metadata: The new log's metadata.
     """

@@ -17,8 +17,8 @@ from amhe_cli.core.files import json_text
 from amhe_cli.core.shown import Floor, outline
 from amhe_cli.report import numbers
 from amhe_cli.report.folder import write_page
-from amhe_cli.report.page import Section, Statement, Tone, print_statements, result_page
-from amhe_cli.report.tables import STRONG, Table, rich_table
+from amhe_cli.report.page import Section, Statement, Tone, print_result, result_page
+from amhe_cli.report.tables import STRONG, Table
 from amhe_cli.web.plots import Curve, Mark, Panel, figure
 
 
@@ -56,7 +56,6 @@ def write_run(
 
     Args:
         folder: Folder of the run's log.
-        task: The task.
         columns: Numbers of each cycle by name, shape (cycles,) each; {} if there was no cycle.
         record: Content of result.json.
         provenance: Versions, hashes, seed and command.
@@ -70,7 +69,6 @@ def print_run(record: Mapping[str, Any], task: TaskFacts, folder: Path, console:
 
     Args:
         record: Content of result.json.
-        task: The task.
         folder: Folder of the files.
         console: Console on stdout.
     """
@@ -79,13 +77,7 @@ def print_run(record: Mapping[str, Any], task: TaskFacts, folder: Path, console:
         text = f"stopped by trip {record['trip']}"
     style = {"good": "green", "mixed": "yellow", "bad": "red"}[tone]
     line = Text.assemble((f"{record['task']} ({task.title}), mode {record['mode']}: "), (text, style))
-    console.print(line, soft_wrap=True)
-    console.print()
-    console.print(rich_table(measure_table(record)))
-    console.print()
-    print_statements(statements(record, task), console)
-    if (folder / "report.html").exists():
-        console.print(Text(f"report: {folder / 'report.html'}", overflow="fold"), soft_wrap=True)
+    print_result(line, measure_table(record), statements(record, task), folder, console)
 
 
 def run_page(

@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -57,7 +56,6 @@ class WatchReport:
 
     Args:
         folder: Folder of the files; made if it does not exist.
-        system: The system.
         source: Where its samples come from.
         provenance: Versions, hashes, seed and command.
         send: What is called with topic, type and bytes of each message for others.
@@ -101,14 +99,12 @@ class WatchReport:
             self._log.attach(name, "application/yaml", text.encode())
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: Any) -> None:
         try:
             self._keep()
             self._hold_against()
         finally:
-            self._open.__exit__(kind, error, trace)
+            self._open.__exit__(*error)
 
     def take(self, event: Estimate | str | None) -> str:
         """Take in an estimate, an event in words, or (None) a look at the source.

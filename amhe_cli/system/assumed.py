@@ -146,7 +146,6 @@ def acting(
     """Which limits and actuators act.
 
     Args:
-        model: The model.
         input_spec: mjtState bits of the inputs.
         qpos, qvel: States, shape (n, nq) and (n, nv).
         inputs: Inputs in these states, shape (n, nu).

@@ -77,7 +77,6 @@ def numbers_of(model: mujoco.MjModel, axes: bool = True) -> list[ModelNumber]:
     """What a model says of its masses, joints and drives; elements without a name are left out.
 
     Args:
-        model: The model.
         axes: The axes of a centre of mass are numbers of their own.
     """
     return [number for kind in _KINDS for number in _of_kind(model, *kind, axes)]

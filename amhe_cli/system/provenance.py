@@ -36,7 +36,6 @@ def provenance(
         command_line: The command or the call that made the result.
         seed: Seed of the random numbers.
         method: Name of the estimation method.
-        system: The system.
         logs: Logs that were fitted; one that was made from arrays is hashed by its values.
         held_out: Logs that were used only for validation.
     """
@@ -57,7 +56,6 @@ def inputs_record(system: System, logs: Sequence[Log], held_out: Sequence[Log] =
     """What a result was made from, as plain values with which `amhe view` opens it all again.
 
     Args:
-        system: The system.
         logs, held_out: See `provenance`; of those that were read from files, the arguments of `read_log`.
 
     Returns:

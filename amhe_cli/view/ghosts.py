@@ -167,7 +167,6 @@ def viewing(
     """Logs, and their clips rolled out under each candidate.
 
     Args:
-        system: The system.
         parts: Parts of the logs, and whether each was held out; None: nothing was fitted.
         candidates: Name of a candidate -> its values; the best one last.
         engine: The system's engine.
@@ -389,7 +388,6 @@ def takes_of(
         measured: The log.
         recording: Row of its recording.
         windows: The clips, and whether each was held out.
-        candidates: The candidates.
         engine: The system's engine.
         rate: Frames of a second.
     """

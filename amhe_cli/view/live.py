@@ -11,7 +11,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from queue import Empty, Full, Queue
 from threading import Condition, Event, Thread
-from types import TracebackType
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -44,7 +43,6 @@ class Broadcast(Generic[T]):
     """A served page and a stream of messages to it; use it as a context manager.
 
     Args:
-        page: The page.
         encode: Makes the messages of an item, in the broadcast's own thread.
     """
 
@@ -71,12 +69,10 @@ class Broadcast(Generic[T]):
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: Any) -> None:
         self._over.set()
         self._thread.join(timeout=2.0)
-        self._server.__exit__(kind, error, trace)
+        self._server.__exit__(*error)
 
     def _work(self) -> None:
         while not (self._over.is_set() and self._queue.empty()):
@@ -169,7 +165,6 @@ class WindowsShown(Broadcast[tuple[Window, Estimate]]):
     """The newest part of each window, measured, and rolled out from the window's start by two beliefs.
 
     Args:
-        system: The system.
         first: Values of the parameters before the first estimate, shape (d,).
         about: Where the samples come from, in words.
     """

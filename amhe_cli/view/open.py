@@ -129,8 +129,6 @@ def view_of(
     """Logs with their ghosts.
 
     Args:
-        system: The system.
-        logs: The logs.
         held_out: Further logs that were only used to validate.
         belief: What was identified, the second candidate; None: what `curves` say was believed where a clip
             starts, if they say it.

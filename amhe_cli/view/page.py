@@ -60,7 +60,6 @@ def saved_page(viewing: Viewing, heading: Heading, **more: Any) -> str:
     """The page of a viewing, with all of its frames.
 
     Args:
-        viewing: The viewing.
         heading: What stands around the scene.
         more: `report`: address of the report of the same result; `asks`: who serves the page answers where
             it asks for another ghost.
@@ -80,7 +79,6 @@ def strip_data(viewing: Viewing, take: Take, scene: Scene, instants: int) -> dic
     One of them is the instant at which the first candidate is farthest away.
 
     Args:
-        viewing: The viewing.
         take: The clip.
         scene: What is drawn, of the same bodies.
         instants: How many; the last one is the end of the clip.

@@ -47,9 +47,7 @@ class Scene:
     """The visible geoms of a system's model.
 
     Args:
-        system: The system.
         bodies: Rows of the moving bodies in the model.
-        geoms: The geoms.
     """
 
     system: System
@@ -119,7 +117,6 @@ def scene_of(system: System, more: Sequence[Geom] = (), most: int = _TRIANGLES) 
     """The scene of a system; shapes that no group shows stand in where nothing else would be seen.
 
     Args:
-        system: The system.
         more: Geoms that do not move, drawn beside the model's own.
         most: Triangles of all meshes together, at most about so many.
     """

@@ -67,7 +67,6 @@ class Panel:
 
     Args:
         title: What is shown.
-        lines: The lines.
         unit: Unit of y.
         x: Name and unit of x.
         marks: Lines and shades behind the lines.
@@ -93,7 +92,6 @@ def figure(panels: Sequence[Panel], across: int = 3, wide: bool = False) -> Mark
     """Panels side by side under one legend; '' for no panels.
 
     Args:
-        panels: The panels.
         across: How many stand side by side on a wide screen.
         wide: The first one has a row of its own.
     """

@@ -61,7 +61,6 @@ def load_together(device: Any, launches: Callable[[], object], compilers: int) -
     nothing from a module that it could not load. What this leaves out, or cannot load, loads at its launch.
 
     Args:
-        device: The device.
         launches: What is to be launched there.
         compilers: Number of threads.
     """

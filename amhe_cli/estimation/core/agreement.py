@@ -63,7 +63,6 @@ def beyond_chance(difference: FloatArray, covariance: FloatArray, comparisons: i
     factors.
 
     Args:
-        difference: The difference.
         covariance: What chance gives it, shape (d, d).
         comparisons: How many such differences are judged; of many, some are large by chance.
     """

@@ -70,7 +70,6 @@ def expected(system: System, logs: Sequence[Log], *, threads: int = 1, seed: int
     """Expected sd and verdict of each parameter.
 
     Args:
-        system: The system.
         logs: The logs that would be fitted.
         threads: CPU threads of the rollouts.
         seed: Seed of all draws.

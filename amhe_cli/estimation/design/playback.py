@@ -157,7 +157,6 @@ def write_log(
 
     Args:
         path: The file.
-        signals: The signals.
         samples: Samples of the signals.
         about: Metadata.
         start: Time of the first sample [s].

@@ -118,7 +118,6 @@ def leeway_of(system: System, controls: DrivenControls, speed: float | None) -> 
     """Where the commands of a system may go.
 
     Args:
-        system: The system.
         controls: Its controls.
         speed: Largest speed of a joint [rad/s or m/s]; None: `HINGE` and `SLIDE`.
     """

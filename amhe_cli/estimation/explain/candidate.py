@@ -77,7 +77,6 @@ class CauseMaker:
     """The system and its motion, and candidates made of columns of force.
 
     Args:
-        system: The system.
         found: What it does not explain.
     """
 

@@ -46,7 +46,6 @@ def unexplained_efforts(system: System, parts: Sequence[Window], z: FloatArray) 
     It is a force: the mass matrix is one. Where an effort was not compared, it counts nothing.
 
     Args:
-        system: The system.
         parts: Parts of its logs.
         z: Values of the unknowns, shape (d,).
     """

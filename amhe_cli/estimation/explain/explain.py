@@ -36,7 +36,6 @@ def explain(system: System, parts: Sequence[Window], z: FloatArray, rng: np.rand
     model lacks is then looked for in the log that was put right.
 
     Args:
-        system: The system.
         parts: Parts of its logs.
         z: Values of the unknowns, shape (d,).
         rng: Generator of the signs of blocks.

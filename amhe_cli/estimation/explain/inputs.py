@@ -136,7 +136,6 @@ def mended(system: System, parts: Sequence[Window], rng: np.random.Generator) ->
     """What, put right, leaves less of the accelerations than the logs as they are; most first.
 
     Args:
-        system: The system.
         parts: Parts of its logs; the longest decides.
         rng: Generator of the signs of blocks.
     """
@@ -245,7 +244,6 @@ class _Look:
 
     Args:
         system, model: The system, and its model as the log has it.
-        motion: The motion.
         forces, rows: Forces along it, and the rows that count; None where something may touch in all of them.
     """
 
@@ -318,7 +316,6 @@ def first_look(
     """Sentences about a log that was read for a system; what contradicts itself is said on reading it.
 
     Args:
-        system: The system.
         log: Its log.
         columns: Columns of the log's table; empty for other formats.
         rng: Generator of the signs of blocks; None: the same in each call.

@@ -201,7 +201,6 @@ def _off_axis(maker: CauseMaker, j: MeasuredDof, along: FloatArray) -> dict[str,
     """A centre of mass that is elsewhere, of the heaviest part of the body that a hinge moves.
 
     Args:
-        maker: The maker.
         j: The hinge.
         along: The force by sine and cosine of its angle, shape (2,).
     """

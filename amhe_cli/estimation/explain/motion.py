@@ -101,7 +101,6 @@ def motion_in(
     """The motion in some parts of logs, as far as they have it; None where they have none.
 
     Args:
-        system: The system.
         parts: Parts of its logs.
         theta: Unknowns of the search, shape (d,): they say how late commands act.
         most: No more instants than about these.

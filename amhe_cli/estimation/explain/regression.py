@@ -148,7 +148,6 @@ class Regression:
         """Candidates that explain more than chance; that first without which the others leave most.
 
         Args:
-            candidates: The candidates.
             rng: Generator of the signs of blocks.
             error: Mean square of the residual that has no cause, shape (k,), once it is asked for.
 
@@ -324,7 +323,6 @@ class _Search:
 
     Args:
         made: The candidates as sums.
-        candidates: The candidates.
         signs: Random signs of the blocks, shape (s, blocks).
         wrong: What each column of the residual has without a cause, summed over the rows, once asked for.
     """

@@ -25,7 +25,6 @@ def twins(system: System, parts: Sequence[Window], z: FloatArray, rng: np.random
     """The parts of logs in simulation, with the noise of their positions; those that diverge are left out.
 
     Args:
-        system: The system.
         parts: Parts of its logs: each begins in its measured state, and goes on under its commands.
         z: Values of the unknowns, shape (d,).
         rng: Generator of the noise.

@@ -98,7 +98,6 @@ def unexplained(system: System, parts: Sequence[Window], z: FloatArray) -> Unexp
     """What a system does not explain of some parts of logs; None: no motion was measured apart from contacts.
 
     Args:
-        system: The system.
         parts: Parts of its logs.
         z: Values of the unknowns, shape (d,).
     """

@@ -161,7 +161,6 @@ def open_replay(
 
     Args:
         system: The system that is estimated.
-        log: The log.
         belief: Belief to start from; None: the system's prior.
         seed: Seed of the random numbers.
         threads: CPU threads; results do not depend on them.

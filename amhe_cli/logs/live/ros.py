@@ -63,7 +63,6 @@ def renamed(signals: Sequence[Signal], rules: Sequence[str]) -> list[Signal]:
     """Signals with their topics as rules name them, each `FROM:=TO`.
 
     Args:
-        signals: The signals.
         rules: As those after `--ros-args -r`; `__ns:=/arm` puts topics that no other rule names into /arm.
 
     Raises:

@@ -115,7 +115,6 @@ class Played(Transport):
     """A log as if it were live: messages come when they were received, or so many times as fast.
 
     Args:
-        log: The log.
         topics: Topics that are wanted.
         speed: Seconds of the log in one second.
 

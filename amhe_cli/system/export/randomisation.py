@@ -91,7 +91,6 @@ class Drawn:
     """Numbers of a model under draws of a belief.
 
     Args:
-        system: The system.
         model: Its model under the belief's estimate.
         theta: The draws within the bounds, shape (n, d).
         arrays: Field of the model -> draws (n, ...).

@@ -24,7 +24,6 @@ def identified_urdf(system: System, theta: FloatArray, source: Path) -> str:
     What a URDF cannot say stands in a comment: armature, gains, delays.
 
     Args:
-        system: The system.
         theta: The values.
         source: A URDF with the model's links and joints.
 

@@ -230,7 +230,6 @@ def set_followers(
     """Put followers that are not measured where their measured leaders demand it, in place.
 
     Args:
-        model: The model.
         qpos, qvel: Positions (c, nq) and velocities (c, nv) of c states.
         measured: Columns of qpos that were measured.
     """

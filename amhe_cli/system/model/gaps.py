@@ -154,7 +154,6 @@ def loose_ends(
     """Gaps of which one joint is measured and one is not: the gap, that joint's row, the measured one's.
 
     Args:
-        model: The model.
         among: Gaps of the model.
         measured: Columns of qpos that are measured.
     """
@@ -170,7 +169,6 @@ def set_gaps(model: mujoco.MjModel, qpos: FloatArray, qvel: FloatArray, measured
     """Put what a gap leaves unmeasured beside its partner, at the stop that carries the load, in place.
 
     Args:
-        model: The model.
         qpos, qvel: Positions (c, nq) and velocities (c, nv) of c states.
         measured: Columns of qpos that were measured.
     """

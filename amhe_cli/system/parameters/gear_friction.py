@@ -67,7 +67,6 @@ class GearFriction:
         """That of the joints whose friction is not constant; None where there is no such joint.
 
         Args:
-            model: The model.
             set_by_parameters: Places in `numeric_data` that parameters set.
         """
         acting = GEARS.acting(model, set_by_parameters)

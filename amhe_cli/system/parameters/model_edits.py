@@ -108,7 +108,6 @@ class ModelEdits:
         """These edits upon a model of the same layout, and after them those of further parameters.
 
         Args:
-            model: The model.
             more: Each parameter with the numbers that it sets.
             calibration: The signals' calibration, with all numbers that these parameters set.
         """

@@ -53,7 +53,6 @@ class Servos:
     """The servos of a model that are more than a gain and a limit.
 
     Args:
-        model: The model.
         rows: Their actuators, shape (g,).
         at: Where the numbers of each are in the model's `numeric_data`, shape (g, 5).
     """
@@ -147,7 +146,6 @@ def with_servos(
     """A copy of a model, and what gives its servos their torques in it at one of n instants.
 
     Args:
-        model: The model.
         qpos, qvel, ctrl, act: The instants, each (n, ...).
     """
     servos = Servos.of(model)
