@@ -4,6 +4,7 @@
 
 The clock begins with the process. A line stands behind its end: what began within it stands above it, further
 to the right. Calls of an engine show their rollouts, and the steps of the longest. Shorter ones are summed.
+The last line has the steps of all predictions.
 TIMELINE_PROFILE=GpuEngine.predict shows, of each call by that name, where its time goes.
 """
 
@@ -58,7 +59,7 @@ def shape(name: str, arguments: tuple[Any, ...]) -> str:
 
 def main() -> None:
     first, clock = since_start(), time.perf_counter()
-    depth, sums = threading.local(), dict[str, list[float]]()
+    depth, sums, steps = threading.local(), dict[str, list[float]](), list[int]()
 
     def now() -> float:
         return first + time.perf_counter() - clock
@@ -68,6 +69,8 @@ def main() -> None:
         def wrapper(*arguments: Any, **named: Any) -> Any:
             level = depth.__dict__.setdefault("level", 0)
             depth.level, began, cpu = level + 1, now(), time.process_time()
+            if name.endswith(".predict"):
+                steps.append(len(arguments[1]) * int(arguments[2].lengths.sum()))
             profile = cProfile.Profile() if os.environ.get("TIMELINE_PROFILE") == name else nullcontext()
             try:
                 with profile:
@@ -99,6 +102,7 @@ def main() -> None:
     print(f"{now():7.2f} s the command ended with {code}", file=sys.stderr)
     for name, each in sums.items():
         print(f"{sum(each):7.2f} s in {len(each)} of {name}", file=sys.stderr)
+    print(f"{sum(steps):,} steps", file=sys.stderr)
 
 
 if __name__ == "__main__":

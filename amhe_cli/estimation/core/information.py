@@ -68,17 +68,23 @@ class Information:
         return self.nuisance + np.einsum("cxd,pd->pcx", self.nuisance_gain, dz)
 
     def first_states(
-        self, dz: FloatArray, narrowest: float, alike: Sequence[IntArray] | None = None
+        self,
+        dz: FloatArray,
+        narrowest: float,
+        alike: Sequence[IntArray] | None = None,
+        least: float = ROUNDING,
     ) -> FirstStates:
         """Posterior of the first-state errors after a step of z.
 
-        Directions that move no residual, or only make them jitter, are not sampled any more: what the slopes
-        of a non-smooth model are freed of leaves a third of them (`linearise.without_jitter`).
+        Directions that hardly move a residual, or only make them jitter, are not sampled any more: what the
+        slopes of a non-smooth model are freed of leaves a quarter of them (`linearise.without_jitter`).
 
         Args:
             dz: The step, shape (d,).
             narrowest: Smallest sampling sd along any direction, in sd of the recorded state.
             alike: Groups of errors of which no sample mixes two; None: one group.
+            least: Information on a direction, in that of the record and in the mean over the windows, from
+                which it is sampled; of one group.
         """
         shape = np.zeros_like(self.nuisance_precision)
         for rows in alike or [np.arange(shape.shape[1])]:
@@ -86,9 +92,19 @@ class Information:
             values, vectors = np.linalg.eigh(self.nuisance_precision[block])
             shape[block] = vectors * np.maximum(1.0 / np.sqrt(values), narrowest)[:, None, :]
         if alike is None:  # eigenvalues ascend: the directions of which most is known stand last
-            felt = int(np.greater(values, 1.0 + ROUNDING).sum(axis=1).max(initial=0))
-            shape = shape[:, :, shape.shape[2] - felt :]
+            shape = shape[:, :, values.mean(axis=0) > 1.0 + least]
         return FirstStates(self.first(dz[None])[0], shape)
+
+    def first_of_others(self, count: int, least: float) -> FirstStates:
+        """Recorded first states of other windows, sampled along the directions that matter on these.
+
+        Args:
+            count: Number of the other windows.
+            least: As of `first_states`.
+        """
+        values, vectors = np.linalg.eigh(self.nuisance_precision.mean(axis=0))
+        felt = vectors[:, values > 1.0 + least]
+        return FirstStates(np.zeros((count, len(felt))), np.tile(felt, (count, 1, 1)))
 
 
 def marginalised(

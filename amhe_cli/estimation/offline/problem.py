@@ -16,7 +16,7 @@ from amhe_cli.engine.auto import AutoEngine
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine, cut
 from amhe_cli.engine.states import nearest, touching
-from amhe_cli.estimation.core.information import Information, marginalised
+from amhe_cli.estimation.core.information import ROUNDING, Information, marginalised
 from amhe_cli.estimation.core.linearise import (
     WIDEST,
     FirstStates,
@@ -54,6 +54,9 @@ LOOKED_AT = 3
 #: Smallest sampling sd of a first state along any direction of a non-smooth model, in its recorded sd:
 #: slopes from narrower samples are jitter, and would count as knowledge of the first state.
 NARROWEST = 0.7
+#: Information on an error of a first state, in that of its record, below which it does not matter behind
+#: contacts: its sd would be less by a tenth, and the estimate moves by a tenth of an interval at most.
+FELT = 0.2
 #: Instants of the rollouts at which a missing contact is looked for.
 _LOOKS = 400
 #: A gap below this is a touch [m].
@@ -236,7 +239,13 @@ class Problem:
         """Posterior of the clips' first states after a step of z (d,)."""
         sparsity = self.sparsity if info.nuisance.shape[1] else None  # recorded first states have no errors
         groups = None if sparsity is None else alike(np.concatenate(list(sparsity.first.values()), axis=1))
-        return info.first_states(dz, NARROWEST if self.non_smooth else self.finest, groups)
+        narrowest, least = (NARROWEST, FELT) if self.non_smooth else (self.finest, ROUNDING)
+        return info.first_states(dz, narrowest, groups, least)
+
+    def first_of_others(self, info: Information, clips: Sequence[Window]) -> FirstStates:
+        """Recorded first states of clips; behind contacts along the directions that matter on others."""
+        count, nx = len(clips), info.nuisance.shape[1]
+        return info.first_of_others(count, FELT) if self.non_smooth else FirstStates.recorded(count, nx)
 
     @property
     def finest(self) -> float:

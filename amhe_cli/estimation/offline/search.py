@@ -146,13 +146,15 @@ def slopes_at(problem: Problem, state: SearchState) -> Linearisation:
     """How an iteration begins: draw clips, and linearise."""
     setting = problem.settings.identify
     exploring, few = state.stage == "explore", _few(problem, state)
-    rng = problem.rng(0, len(state.record))
+    rng, unfitted = problem.rng(0, len(state.record)), exploring
+    if problem.non_smooth:  # the last random clips show which errors of first states matter
+        unfitted &= state.number + 1 < setting.iterations - setting.polish
     if exploring:
         windows = problem.drawn(rng, min(problem.clip_count, FEW) if few else problem.clip_count)
     else:
         windows = problem.clips[:: max(1, len(problem.clips) // FEW)] if few else problem.clips
     cost = problem.cost(windows, state.scale)
-    fitted = setting.first_state == "always" or (setting.first_state == "polish" and not exploring)
+    fitted = setting.first_state == "always" or (setting.first_state == "polish" and not unfitted)
     first = state.first or FirstStates.recorded(len(windows), cost.nx * fitted)
     return problem.linearised(cost, state.z, first, state.shape, rng, straight=state.straight)
 
@@ -185,9 +187,15 @@ def stepped(
     # a step is short, too, while the misfit of an iteration before passes for noise
     quieter = any(sd < 0.8 * state.scale.get(key, 1.0) for key, sd in taken.scale.items() if state.scale)
     settled = still and not few and (problem.touches or not quieter or problem.noise is not None)
+    stage = _next_stage(state, number, settled, setting, total(problem, state))
+    first = None  # of random clips, and few, others are not known
+    if not (exploring or few):  # these clips are the same next time
+        first = problem.first_states(info, taken.z - state.z)
+    elif problem.non_smooth and stage == "polish" and info.nuisance.shape[1]:
+        first = problem.first_of_others(info, problem.clips)
     return replace(
         state,
-        stage=_next_stage(state, number, settled, setting, total(problem, state)),
+        stage=stage,
         number=number,
         z=taken.z,
         trail=trail,
@@ -195,8 +203,7 @@ def stepped(
         shape=shape,
         scale=taken.scale,
         record=(*state.record, _entry(problem, state, taken, slopes)),
-        # these clips are the same next time; random ones, and few, are not
-        first=None if exploring or few else problem.first_states(info, taken.z - state.z),
+        first=first,
         straight=not (problem.touches or taken.far)
         and float(slopes.bend.mean()) < STRAIGHT * float((info.residual**2).mean()),
     )
@@ -258,8 +265,10 @@ def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, in
         return _Tried(line, z, first, residuals, values + quadratic_prior(z, np.zeros_like(state.z), prior))
 
     blind = problem.non_smooth and state.stage == "polish"
-    line = BLIND_LINE if blind else LINE if problem.touches else WHOLE
+    line = BLIND_LINE[:1] if blind else LINE if problem.touches else WHOLE
     tried = [along(line, line[:, None] * step)]
+    if blind and np.isinf(tried[0].values[0]):
+        tried.append(along(BLIND_LINE[1:], BLIND_LINE[1:, None] * step))
     falls, stay = float((2.0 * whole - step) @ hessian @ step), tried[0].values[-1]
     if not problem.touches:
         for _ in range(CORRECTED * (reach <= 1.0)):  # a valley that bends is left by a straight step

@@ -325,7 +325,7 @@ class Scored:
 
 
 def scored(
-    problem: Problem, cost: MatchingCost, z: FloatArray, shape: FloatArray, like: Scored | None = None
+    problem: Problem, cost: MatchingCost, z: FloatArray, shape: FloatArray, first: FirstStates | None = None
 ) -> Scored:
     """Fit the first states of clips under z (d,): the step that a linearisation gives, as far as it helps.
 
@@ -334,11 +334,9 @@ def scored(
         cost: Cost on the clips.
         z: The values.
         shape: Shape of the samples of z, (d, d).
-        like: The same clips under other values, whose first states show which of their errors matter.
+        first: Their recorded first states, and which of their errors matter; None: all.
     """
-    first = problem.recorded(cost)
-    if like is not None and problem.non_smooth:
-        first = problem.first_states(like.information, np.zeros_like(z)).forgotten
+    first = first or problem.recorded(cost)
     slopes = problem.linearised(cost, z, first, shape, problem.rng(5), straight=not problem.touches)
     info = information(slopes)
     tried = LINE[:, None, None] * info.nuisance

@@ -124,8 +124,11 @@ def judge(fit: FinalFit, windows: Sequence[Window], held_out: HeldOut) -> tuple[
     """
     problem = fit.problem
     cost = problem.cost(windows, fit.scale)
-    now = scored(problem, cost, fit.z, fit.shape)
-    before = scored(problem, cost, np.zeros_like(fit.z), fit.shape, now)
+    first, nowhere = problem.first_of_others(fit.information, windows), np.zeros_like(fit.z)
+    now = scored(problem, cost, fit.z, fit.shape, first)
+    if problem.non_smooth:
+        first = problem.first_states(now.information, nowhere).forgotten
+    before = scored(problem, cost, nowhere, fit.shape, first)
     costs = [float(cost.as_declared(each.residuals)[0]) for each in (now, before)]
     against = []
     # residuals of wrong values repeat more: with a time of its own, each would count by another measure
@@ -140,8 +143,8 @@ def judge(fit: FinalFit, windows: Sequence[Window], held_out: HeldOut) -> tuple[
         against.append(Against("worse", text))
     scale, fitted, misses = {}, {}, {}
     if alike := _fitted_clips(problem, windows):
-        same = problem.cost(alike, fit.scale)
-        losses = scored(problem, same, fit.z, fit.shape).losses
+        same, first = problem.cost(alike, fit.scale), problem.first_of_others(fit.information, alike)
+        losses = scored(problem, same, fit.z, fit.shape, first).losses
         for observed, loss in zip(same.clips.observed, losses, strict=True):
             fitted[observed.channel.key] = _for_each_sample(loss, observed)
     for observed, loss in zip(cost.clips.observed, now.losses, strict=True):

@@ -77,6 +77,20 @@ def test_samples_of_first_states_are_no_narrower_than_asked(cost: MatchingCost) 
     np.testing.assert_array_equal(held.mean, free.mean)
 
 
+def test_errors_of_first_states_that_hardly_matter_are_not_sampled() -> None:
+    """What matters on a window decides there; on others, what matters on most windows."""
+    felt = np.array([[3.0, 0.3, 0.1], [0.1, 3.0, 0.05]])  # by three errors, on two windows
+    slopes = np.sqrt(felt)[..., None] * np.eye(3)
+    one = np.ones((2, 3))
+    known = marginalised(np.zeros((2, 3)), np.zeros((2, 1, 3)), slopes, one, np.zeros((2, 3)))
+    own, others = known.first_states(np.zeros(1), 0.7, None, 0.25), known.first_of_others(4, 0.25)
+    # each window's second direction has 0.3 and 0.1: less than a quarter of the record in the mean
+    assert own.shape.shape == (2, 3, 1)
+    assert (own.shape[..., 0] != 0.0).tolist() == [[True, False, False], [False, True, False]]
+    assert others.mean.shape == (4, 3) and others.shape.shape == (4, 3, 2), "1.55, 1.65 and 0.075 in the mean"
+    np.testing.assert_allclose(others.shape[3] @ others.shape[0].T, np.diag([1.0, 1.0, 0.0]), atol=1e-12)
+
+
 def test_the_mean_of_the_samples_takes_their_common_bend_out(cost: MatchingCost) -> None:
     first = FirstStates.recorded(len(cost.clips.windows), cost.nx)
     middle, mean = about(cost, first), about(cost, first, mean=True)
