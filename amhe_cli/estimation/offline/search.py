@@ -148,7 +148,8 @@ def slopes_at(problem: Problem, state: SearchState) -> Linearisation:
     exploring, few = state.stage == "explore", _few(problem, state)
     rng, unfitted = problem.rng(0, len(state.record)), exploring
     if problem.non_smooth:  # the last random clips show which errors of first states matter
-        unfitted &= state.number + 1 < setting.iterations - setting.polish
+        last = setting.iterations - setting.polish <= state.number + 1 < total(problem, state)
+        unfitted = exploring and not last
     if exploring:
         windows = problem.drawn(rng, min(problem.clip_count, FEW) if few else problem.clip_count)
     else:
