@@ -46,6 +46,10 @@ MOTIONS = {
     "0.5 / 0, 0.25 s each": turns((0.5, 0.25), (0.0, 0.25)),
     "0.4 / 0, 0.5 s each": turns((0.4, 0.5), (0.0, 0.5)),
     "0.4 for 1 s, 0 for 0.5 s": turns((0.4, 1.0), (0.0, 0.5)),
+    "`bob`, 5 cm": replace(named_motion("bob"), bob=0.05),
+    "`bob` at 0.3 m/s": replace(turns((0.3, 1.0)), bob=0.04),
+    "`bob` at 0.4 m/s": replace(turns((0.4, 1.0)), bob=0.04),
+    "`bob`, 0.3 / 0.1 m/s, 0.25 s each": replace(turns((0.3, 0.25), (0.1, 0.25)), bob=0.04),
 }
 
 
