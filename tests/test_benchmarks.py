@@ -27,6 +27,7 @@ def gear(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
 
 
 @pytest.mark.medium
+@pytest.mark.usefixtures("unexplained")
 def test_what_constant_friction_leaves_open_is_in_the_interval_and_named(gear: ModuleType) -> None:
     found = {kind: gear.trial(6 + i) for i, kind in enumerate(gear.KINDS)}
     assert [one["kind"] for one in found.values()] == list(gear.KINDS)
@@ -61,6 +62,7 @@ def test_twin_is_identified_and_counted(honesty: ModuleType) -> None:
 
 
 @pytest.mark.medium
+@pytest.mark.usefixtures("unexplained")
 def test_wrong_model_is_not_identified_and_gives_reasons(honesty: ModuleType) -> None:
     found = honesty.trial(honesty.place("servo_off", "wrong", 0))
     assert (found["problem"], found["kind"]) == ("servo_off", "wrong")

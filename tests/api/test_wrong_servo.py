@@ -8,7 +8,7 @@ import pytest
 
 import amhe_cli as amhe
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("unexplained")]
 
 GAIN, LIMIT, MASS, STEP = 12.0, 1.6, 0.5, 0.004
 

@@ -85,6 +85,7 @@ def test_the_belief_says_where_it_came_from(done: Path, pendulum_log: Path) -> N
 
 
 @pytest.mark.medium
+@pytest.mark.usefixtures("unexplained")
 def test_a_model_needs_no_system_folder(pendulum_log: Path, tmp_path: Path) -> None:
     out, again = tmp_path / "out", tmp_path / "again"
     quiet, model = ("-q", *QUICK), ("--model", str(ROOT / "models" / "pendulum" / "scene.xml"))
