@@ -31,8 +31,8 @@ demo: .venv/.installed
 	$(BIN)/amhe identify examples/logs/t1.mcap -o amhe-out/demo --force
 
 # worksteal: each worker begins with files that stand together, so that what they share is made once.
-# Tests by the wall clock come last, one after another: beside others that compute, a machine is late.
-# One that fails is run again, as a machine that others use may stand still for half a second; the summary lists it.
+# Tests of emulated robots come last, one after another: beside others that compute, a machine is late.
+# A test by the wall clock that fails is run again, as a machine that others use may stand still for half a second; the summary lists it.
 test: .venv/.installed-dev
 	$(BIN)/python -m pytest -q -n auto --dist worksteal -m "not realtime"; others=$$?; \
 	$(BIN)/python -m pytest -q -m realtime --reruns 2 && exit $$others

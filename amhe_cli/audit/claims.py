@@ -46,7 +46,6 @@ class Claim:
     """One number of a file.
 
     Args:
-        number: The number.
         parameter: Name of the parameter that sets it.
         value: What the file says.
         factor: The parameter's value where the number is 1 (a scale), else 1.

@@ -40,7 +40,6 @@ def weights(model: mujoco.MjModel, others: Iterable[mujoco.MjModel], states: Sta
     """By how much the forces of other models differ, as shares of those that the model's joints need.
 
     Args:
-        model: The model.
         others: Models of the same layout.
         states: The motion.
 

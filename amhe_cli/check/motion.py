@@ -126,7 +126,6 @@ def log_findings(system: System, logs: Sequence[Log], moved: Sequence[JointMotio
 
     Args:
         system: The system that the logs were read for.
-        logs: The logs.
         moved: Their motion.
     """
     found = list(_doubts(system, logs, moved))

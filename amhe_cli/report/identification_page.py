@@ -74,14 +74,7 @@ ALONE = Beside()
 def identification_page(
     result: Identification, record: Mapping[str, Any], provenance: Mapping[str, Any], seen: Beside = ALONE
 ) -> str:
-    """The page as HTML.
-
-    Args:
-        result: The identification.
-        record: Content of result.json.
-        provenance: Versions, hashes, seed and command.
-        seen: What a view adds to it.
-    """
+    """The page as HTML; for the arguments see `write_identification`."""
     clips, logs = result.clips, len(result.logs)
     named = ", ".join(Path(log).name for log in result.logs[:3]) + ", ..." * (logs > 3)
     return result_page(

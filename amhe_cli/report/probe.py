@@ -93,14 +93,7 @@ def sd_text(row: Mapping[str, Any], key: str) -> str:
 
 
 def write_probe_page(folder: Path, log: str, system: System, record: Mapping[str, Any]) -> None:
-    """Write report.html beside the results.
-
-    Args:
-        folder: Folder of the results.
-        log: Name of the recorded log in it.
-        system: The system that was probed.
-        record: Content of result.json.
-    """
+    """Write report.html beside the results; `log` is the name of the recorded log there."""
     write_page(folder, lambda: _page(folder / log, system, record))
 
 

@@ -68,13 +68,7 @@ def write_replay(
 
 
 def print_replay(record: Mapping[str, Any], folder: Path, console: Console) -> None:
-    """Print the parameters at the end, how many windows were used, and where the files are.
-
-    Args:
-        record: Content of result.json.
-        folder: Folder of the files.
-        console: Console on stdout.
-    """
+    """Print the parameters at the end, how many windows were used, and where the page is."""
     head = f"{record['log']}, at {record['end_s']:.2f} s"
     print_result(head, parameter_table(record), statements(record), folder, console)
 
@@ -82,13 +76,7 @@ def print_replay(record: Mapping[str, Any], folder: Path, console: Console) -> N
 def replay_page(
     replay: Replay, fits: Sequence[Fit], record: Mapping[str, Any], provenance: Mapping[str, Any]
 ) -> str:
-    """The page as HTML.
-
-    Args:
-        fits: Measured against predicted in a few windows.
-        record: Content of result.json.
-        provenance: Versions, hashes, seed and command.
-    """
+    """The page as HTML; for the arguments see `write_replay`."""
     settings = record["settings"]
     return result_page(
         record,

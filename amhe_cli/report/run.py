@@ -65,13 +65,7 @@ def write_run(
 
 
 def print_run(record: Mapping[str, Any], task: TaskFacts, folder: Path, console: Console) -> None:
-    """Print the verdict, the measures, what the page states, and where the files are.
-
-    Args:
-        record: Content of result.json.
-        folder: Folder of the files.
-        console: Console on stdout.
-    """
+    """Print the verdict, the measures, what the page states, and where it is."""
     tone, text = verdict(record)
     if record["trip"]:  # its reason was printed when it came
         text = f"stopped by trip {record['trip']}"

@@ -20,7 +20,7 @@ from amhe_cli.logs import read_log, survey
 from amhe_cli.system.system import System
 from tests.cli.conftest import names
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.flaky(reruns=2)
 
 
 def rows(out: str) -> list[dict[str, str]]:

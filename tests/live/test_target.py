@@ -157,7 +157,7 @@ def test_who_is_slow_finds_that_time_has_gone_on(clock: Clock) -> None:
     assert target.misses == 2, "one late plan is counted once"
 
 
-@pytest.mark.realtime
+@pytest.mark.flaky(reruns=2)
 def test_by_the_real_clock_time_is_kept() -> None:
     target = SimTarget(Player(), PERIOD, STAND, realtime=True)
     begun = time.monotonic()

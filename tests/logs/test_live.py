@@ -29,7 +29,7 @@ from amhe_cli.logs.messages.definitions import Definitions
 from benchmarks.watch import free_endpoint, router
 from examples.ros2_arm import zeros
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.flaky(reruns=2)
 
 JOINTS = Signal("joints", "/joints", ("position",), "sensor_msgs/msg/JointState", ("a", "b"))
 SECOND = 10**9

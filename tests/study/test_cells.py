@@ -105,7 +105,7 @@ def test_work_that_always_kills_its_process_is_given_up_and_the_rest_is_done() -
     assert ATTEMPTS == 3
 
 
-@pytest.mark.realtime
+@pytest.mark.flaky(reruns=2)
 def test_stopping_gives_up_what_is_running_at_once() -> None:
     begun = time.monotonic()
     came = []
@@ -119,7 +119,7 @@ def test_stopping_gives_up_what_is_running_at_once() -> None:
     assert time.monotonic() - begun < 20.0
 
 
-@pytest.mark.realtime
+@pytest.mark.flaky(reruns=2)
 def test_leaving_a_local_pool_leaves_no_process_behind() -> None:
     with local(1) as executor:
         executor.submit(slow, 60.0)
@@ -129,7 +129,7 @@ def test_leaving_a_local_pool_leaves_no_process_behind() -> None:
     assert not multiprocessing.active_children()
 
 
-@pytest.mark.realtime
+@pytest.mark.flaky(reruns=2)
 @pytest.mark.parametrize("address", ["localhost", "tcp://", "nonsense://127.0.0.1:1"])
 def test_an_address_that_is_none_is_refused_in_one_line(address: str) -> None:
     pytest.importorskip("distributed")
@@ -140,7 +140,7 @@ def test_an_address_that_is_none_is_refused_in_one_line(address: str) -> None:
     assert threading.active_count() == begun, "a client that was begun ends in a traceback"
 
 
-@pytest.mark.realtime
+@pytest.mark.flaky(reruns=2)
 def test_where_nobody_answers_it_is_reported_soon_and_how_to_start_one(monkeypatch) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setattr("amhe_cli.study.executors.PATIENCE", 1.0)
@@ -163,7 +163,7 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
         yield cluster
 
 
-@pytest.mark.realtime
+@pytest.mark.flaky(reruns=2)
 @pytest.mark.medium
 def test_cells_of_a_killed_worker_are_run_by_another(cluster: Cluster, tmp_path: Path) -> None:
     workers = [cluster.worker(), cluster.worker()]
@@ -185,7 +185,7 @@ def test_cells_of_a_killed_worker_are_run_by_another(cluster: Cluster, tmp_path:
     assert str(workers[0].pid) in started.read_text().split()
 
 
-@pytest.mark.realtime
+@pytest.mark.flaky(reruns=2)
 @pytest.mark.medium
 def test_a_scheduler_that_goes_away_stops_the_work_with_one_line(cluster: Cluster) -> None:
     cluster.worker()
@@ -195,7 +195,7 @@ def test_a_scheduler_that_goes_away_stops_the_work_with_one_line(cluster: Cluste
             cluster.close()
 
 
-@pytest.mark.realtime
+@pytest.mark.flaky(reruns=2)
 @pytest.mark.medium
 def test_a_scheduler_without_workers_is_reported_and_can_be_left(cluster: Cluster, caplog) -> None:
     begun = time.monotonic()

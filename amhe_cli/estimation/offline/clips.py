@@ -31,7 +31,6 @@ def split_held_out(logs: Sequence[Log], clips: ClipSettings) -> tuple[list[Windo
     their own, which no other log knows, the last part of each.
 
     Args:
-        logs: The logs.
         clips: Share of their time that is held out, and the length of clips.
     """
     share = clips.held_out

@@ -9,14 +9,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.statistics import correlation
-from amhe_cli.estimation.core.result import (
-    Against,
-    Combination,
-    HeldOut,
-    ParameterResult,
-    Reason,
-    SpanError,
-)
+from amhe_cli.estimation.core.result import Against, Combination, HeldOut, ParameterResult, Reason, SpanError
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.uncertainty.fit import FinalFit
 from amhe_cli.estimation.uncertainty.ledger import Ledger

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from amhe_cli import __version__
-from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.belief import Belief, with_prior
 from amhe_cli.core.statistics import correlation
 from amhe_cli.system.model.elements import holds_position
@@ -295,32 +295,35 @@ def _argument(of: object, value: object) -> str:
     return f"steps({short})" if of in ("shortest", "longest") else repr(short)
 
 
-def _as_constants(model: mujoco.MjModel, arrays: Mapping[str, FloatArray]) -> None:
-    """Write friction and back-EMF of a model, and of its draws, into the fields that every tool uses.
+def _constants(model: mujoco.MjModel) -> Iterator[tuple[str, tuple[int, ...], IntArray | list[int], float]]:
+    """What tools have constants for: a field, a place in it, numbers of the model, and their factor there.
 
     Dry friction of a gear is that under gravity, motor against load; back-EMF is damping of the servo.
     """
-    gears, servos, back_emf = GearFriction.of(model), SERVOS.rows(model), list(OF_SERVO).index("back_emf")
-    load = usual_load(model)
+    if (gears := GearFriction.of(model)) is not None:
+        load = usual_load(model)
+        for dof, at in zip(gears.dofs, gears.at, strict=True):
+            yield "dof_frictionloss", (int(dof),), at[:2], float(load[dof])  # k_m + k_e
+    back_emf = list(OF_SERVO).index("back_emf")
+    for row, at in SERVOS.rows(model).items():
+        yield BIAS, (row, 2), at[back_emf : back_emf + 1], -1.0
+
+
+def _as_constants(model: mujoco.MjModel, arrays: Mapping[str, FloatArray]) -> None:
+    """Write constants of a model, and of its draws, into the fields that every tool uses."""
     of_model = {name: getattr(model, name)[None] for name in ("numeric_data", "dof_frictionloss", BIAS)}
-    for fields in (arrays, of_model):
-        numbers = fields.get("numeric_data", of_model["numeric_data"])
-        if gears is not None and "dof_frictionloss" in fields:
-            share = numbers[:, gears.at[:, :2]].sum(axis=2)  # k_m + k_e
-            fields["dof_frictionloss"][:, gears.dofs] += share * load[gears.dofs]
-        for row, at in servos.items() if BIAS in fields else ():
-            fields[BIAS][:, row, 2] -= numbers[:, at[back_emf]]
+    for name, place, at, factor in _constants(model):
+        for fields in (arrays, of_model):
+            numbers = fields.get("numeric_data", of_model["numeric_data"])
+            if name in fields:
+                fields[name][:, *place] += factor * numbers[:, at].sum(axis=1)
 
 
 def _counted(draws: Drawn) -> Iterator[tuple[str, int]]:
     """Numbers of gears and servos that events draw with those fields."""
-    gears, back_emf = GearFriction.of(draws.model), list(OF_SERVO).index("back_emf")
-    held = zip(gears.dofs, gears.at, strict=True) if gears is not None else ()
-    parts = [("dof_frictionloss", int(dof), at[:2]) for dof, at in held]
-    parts += [(BIAS, row, at[back_emf : back_emf + 1]) for row, at in SERVOS.rows(draws.model).items()]
-    for name, row, numbers in parts:
+    for name, (row, *_), at, _ in _constants(draws.model):
         if name in draws.arrays and (name, row) in draws.used:
-            yield from (("numeric_data", int(number)) for number in numbers)
+            yield from (("numeric_data", int(number)) for number in at)
 
 
 def usual_load(model: mujoco.MjModel) -> FloatArray:

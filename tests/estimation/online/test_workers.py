@@ -15,7 +15,7 @@ from amhe_cli.estimation.online.workers import InProcess, InStep, Trouble
 from amhe_cli.system.description.folders import find_system
 from amhe_cli.system.system import System
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.flaky(reruns=2)
 
 SYSTEM = System.load(find_system("go1_push"))
 

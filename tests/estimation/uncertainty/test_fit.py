@@ -22,13 +22,7 @@ from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.offline.watch import Watch
-from amhe_cli.estimation.uncertainty.fit import (
-    FinalFit,
-    doubled_prior,
-    doubled_step,
-    final_fit,
-    posterior,
-)
+from amhe_cli.estimation.uncertainty.fit import FinalFit, doubled_prior, doubled_step, final_fit, posterior
 from amhe_cli.estimation.uncertainty.misfit import (
     held_fixed,
     left_out,

@@ -35,10 +35,7 @@ def wheel(lowest: float, tilt: float = 0.0) -> amhe.System:
             "joints": {"joints": ["drive"], "noise": {"position": NOISE}},
             "command": {"actuators": ["drive"], "quantity": "position"},
         },
-        settings={
-            "clips": {"length": [0.4, 0.8]},
-            "identify": {"assumed": 0},
-        },
+        settings={"clips": {"length": [0.4, 0.8]}, "identify": {"assumed": 0}},
         warn=False,
     )
 

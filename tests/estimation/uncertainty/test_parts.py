@@ -246,10 +246,7 @@ def test_logs_of_an_unknown_and_of_a_known_motor_agree() -> None:
     assert other.estimate == pytest.approx(one.estimate, abs=one.sd)
 
 
-QUICK = {
-    "clips": {"count": 6, "length": [0.4, 0.6]},
-    "identify": {"iterations": 4, "first_state": "never"},
-}
+QUICK = {"clips": {"count": 6, "length": [0.4, 0.6]}, "identify": {"iterations": 4, "first_state": "never"}}
 
 
 @pytest.mark.medium

@@ -203,7 +203,7 @@ def serving(motive: Motive) -> Iterator[None]:
         yield
 
 
-@pytest.mark.realtime
+@pytest.mark.flaky(reruns=2)
 def test_natnet_reads_what_motive_streams(motive: Motive) -> None:
     pytest.importorskip("natnet")
     with serving(motive), closing(NatNet(*motive.address, 2.0)) as source:
@@ -218,7 +218,7 @@ def test_natnet_reads_what_motive_streams(motive: Motive) -> None:
     assert seen["go1"].age == pytest.approx(0.004)
 
 
-@pytest.mark.realtime
+@pytest.mark.flaky(reruns=2)
 @pytest.mark.parametrize("address", ["127.0.0.2", "127.0.0.1"])
 def test_natnet_listens_at_one_address_and_to_one_port(motive: Motive, address: str) -> None:
     pytest.importorskip("natnet")
@@ -314,7 +314,7 @@ def test_the_command_emulates_the_box_that_was_measured(monkeypatch: pytest.Monk
     assert (seen.bodies[1], tuple(seen.offsets[1]), seen.slow) == ("crate", (0, 0, -0.2, 0, 0, 0), 2.0)
 
 
-@pytest.mark.realtime
+@pytest.mark.flaky(reruns=2)
 @pytest.mark.medium
 def test_the_command_serves_says_where_and_ends_in_order() -> None:
     with emulating("--task", "t4", "--mocap", "natnet") as emulated:

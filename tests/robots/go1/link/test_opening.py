@@ -39,7 +39,7 @@ from amhe_cli.robots.go1.settings import Go1Settings
 from amhe_cli.robots.go1.tasks import find_task
 from tests.robots.go1.stand_ins import free_port
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.flaky(reruns=2)
 
 
 def cycles(ms: float, rollouts: int) -> list:

@@ -42,7 +42,7 @@ def sending(port: int, *bodies: str) -> Iterator[None]:
         yield
 
 
-@pytest.mark.realtime
+@pytest.mark.flaky(reruns=2)
 def test_poses_come_through_on_our_clock() -> None:
     port = free_port()
     with sending(port, *BODIES), PoseFeed("udp", "127.0.0.1", port, Go1Settings(connect_time=3.0)) as feed:
@@ -86,7 +86,7 @@ def test_a_pose_that_tells_no_time_and_stays_the_same_is_not_new() -> None:
     assert passed_on(*looks) == [("go1", 0.1), ("go1", 0.2), ("go1", 0.1)]
 
 
-@pytest.mark.realtime
+@pytest.mark.flaky(reruns=2)
 def test_a_body_that_never_comes_is_named_with_those_that_do() -> None:
     port = free_port()
     with (
@@ -97,14 +97,14 @@ def test_a_body_that_never_comes_is_named_with_those_that_do() -> None:
         feed.first()
 
 
-@pytest.mark.realtime
+@pytest.mark.flaky(reruns=2)
 def test_silence_is_named() -> None:
     feed = PoseFeed("udp", "127.0.0.1", free_port(), Go1Settings(connect_time=0.3))
     with feed, pytest.raises(PoseError, match="no body at all"):
         feed.first()
 
 
-@pytest.mark.realtime
+@pytest.mark.flaky(reruns=2)
 def test_a_source_that_blocks_for_ever_is_given_up() -> None:
     pytest.importorskip("motioncapture")
     begun = time.monotonic()
@@ -126,7 +126,7 @@ with PoseFeed("udp", "127.0.0.1", int(sys.argv[1]), Go1Settings(connect_time=20.
 """
 
 
-@pytest.mark.realtime
+@pytest.mark.flaky(reruns=2)
 @pytest.mark.skipif(sys.platform != "linux", reason="no child is notified elsewhere")
 def test_a_source_that_blocks_for_ever_ends_with_a_program_that_is_killed() -> None:
     command = [sys.executable, "-c", _PROGRAM, str(free_port())]
@@ -153,7 +153,7 @@ def _lives(process: int) -> bool:
         return False
 
 
-@pytest.mark.realtime
+@pytest.mark.flaky(reruns=2)
 def test_libmotioncapture_comes_through() -> None:
     pytest.importorskip("motioncapture")
     mocked = "mock:go1(0,0,0.3,1,0,0,0);box(0.6,0.1,0.15,0,0,0,1)"
@@ -194,7 +194,7 @@ def test_the_offset_of_a_clock_is_found_under_jitter_and_drift() -> None:
     assert late.max() < 0.0007
 
 
-@pytest.mark.realtime
+@pytest.mark.flaky(reruns=2)
 def test_poses_are_taken_from_the_first_that_sends_one(tmp_path: Path) -> None:
     port = free_port()
     with closing(UdpPoses("127.0.0.1", port)) as source, udp() as one, udp() as other:
@@ -205,7 +205,7 @@ def test_poses_are_taken_from_the_first_that_sends_one(tmp_path: Path) -> None:
         assert [seen.body for seen in source.wait(1.0)] == ["go1"] * 3
 
 
-@pytest.mark.realtime
+@pytest.mark.flaky(reruns=2)
 def test_poses_are_taken_from_the_named_port_only() -> None:
     port = free_port()
     with udp() as one, udp() as other:
