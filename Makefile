@@ -35,7 +35,7 @@ demo: .venv/.installed
 # A test by the wall clock that fails is run again, as a machine that others use may stand still for half a second; the summary lists it.
 test: .venv/.installed-dev
 	$(BIN)/python -m pytest -q -n auto --dist worksteal -m "not realtime"; others=$$?; \
-	$(BIN)/python -m pytest -q -m realtime --reruns 2 && exit $$others
+	$(BIN)/python -m pytest -q -m realtime --reruns 2 $$(grep -rl --include="*.py" mark.realtime tests) && exit $$others
 
 test-fast: .venv/.installed-dev
 	$(BIN)/python -m pytest -q -n auto --dist worksteal -m "not slow and not medium"
