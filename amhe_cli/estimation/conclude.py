@@ -81,7 +81,7 @@ class Search:
         before, space, ended = self.problem.system.space, problem.system.space, self.finding
         z, wider = space.clip(space.z_of(before.theta_of(ended.z))), before.prior_sd / space.prior_sd
         shape = wider[:, None] * ended.shape if isinstance(ended, SearchState) and ended.straight else None
-        return restart(problem, z, shape)
+        return restart(problem, z, shape, scale=ended.scale if problem.quick else None)
 
 
 def conclude(search: Search, *, quick: bool = False) -> Identification:

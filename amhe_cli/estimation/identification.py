@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
@@ -108,6 +107,7 @@ def searched_for(
     enough: float | None = None,
     noise: KnownNoise | None = None,
     ends: Ends | None = None,
+    watch: Watch | None = None,
 ) -> Search:
     """The search of `identify`, whose arguments it takes, without the conclusion.
 
@@ -116,6 +116,7 @@ def searched_for(
     `quick`: one of many: do not say how long it takes, nor which parameters the logs do not depend on.
     `near`: begin where a search for the same parameters under other priors has ended, and not at the prior's
     mean. `clips`: fit, and hold out, only so many. `enough`, `noise`, `ends`: as of `Problem`.
+    `watch`: one that several searches share, with their time; `on_iteration` and the options' are unused.
     """
     if options.method not in METHODS:
         raise ConfigError(f"`method`: {one_of('method', options.method, METHODS)}")
@@ -124,10 +125,12 @@ def searched_for(
     training, model = named(training), system.space
     system = replace(system, space=searched(model, training))
     training = in_order(training)
-    limit = math.inf if quick and options.max_time is None else options.max_time
-    watch = Watch(on_iteration, limit, PARTS)
+    watch = watch or Watch(on_iteration, options.max_time, PARTS)
     problem, validation = _pose(system, training, held_out, options)
-    problem = replace(problem, enough=enough, noise=noise, ends=ends, like=near and near.problem)
+    problem = replace(
+        problem, enough=enough, noise=noise, ends=ends, like=near and near.problem,
+        quick=quick and system.match != "effort",  # efforts along a motion are quick without
+    )  # fmt: skip
     if clips is not None:
         every = tuple(problem.usable)
         problem = replace(problem, only=tuple(evenly(every, clips)), beside=every)

@@ -257,23 +257,24 @@ def linearise(
         cost: The matching cost on c clips.
         z: Where to linearise, shape (d,).
         first: What is known of the first-state errors.
-        shape: Samples are z + shape w with w of unit variance, shape (d, d).
+        shape: Samples are z + shape w with w of unit variance, shape (d, k): along other directions than
+            these k, slopes are zero.
         samples: Number of candidates; raised to two for each unknown of one residual.
         rng: Draws the directions.
         straight: Take short steps to one side instead of pairs, where samples have shown that hardly anything
             bends in them: half of the rollouts, and no bend.
         sparsity: What the unknowns move, where they do not move everything.
     """
-    d, nx = z.size, first.mean.shape[1]
+    (d, k), nx = shape.shape, first.mean.shape[1]
     moves = None if sparsity is None else _moved(cost, sparsity, shape, first.shape)
-    columns = np.arange(d + first.shape.shape[2]) if moves is None else colours(moves)
+    columns = np.arange(k + first.shape.shape[2]) if moves is None else colours(moves)
     unknowns = int(columns.max()) + 1
     directions = orthogonal_directions(unknowns, max(unknowns, samples // 2), rng)[:, columns]
     half = len(directions)
     signs, candidates, steps, middles = _samples(cost.system.space, z, shape, directions, straight)
 
     def of_clips(cost: MatchingCost, first: FirstStates) -> Linearisation:
-        errors = first.mean + np.einsum("cij,hj->hci", first.shape, signs[:, d:])
+        errors = first.mean + np.einsum("cij,hj->hci", first.shape, signs[:, k:])
         residuals = cost.residuals(candidates, errors if nx else None)
         odd, even, pairs = _parity(residuals, half)
         gain, bent = _by_coordinates(_regress(odd, pairs, steps, moves), shape, first.shape), len(even)
@@ -288,7 +289,7 @@ def linearise(
             curves=curves * namespace_of(curves).asarray(pairs.T[:bent, :, None]),
             bend=bend,
             first=first,
-            pairs=directions[:, :d],
+            pairs=directions[:, :k],
             completed=residuals.completed[-1] & (pairs.sum(axis=1) >= 0.75 * half),
             rollouts=residuals.completed.size,
             diverged=int((~residuals.completed).sum()),
@@ -323,20 +324,20 @@ def averaged(found: Linearisation, shape: FloatArray) -> Linearisation:
 def _samples(
     space: ParameterSpace, z: FloatArray, shape: FloatArray, directions: FloatArray, straight: bool
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Samples about z (d,): pairs along h directions (h, d + nx) of unit variance, or one side, and z.
+    """Samples about z (d,): pairs along h directions (h, k + nx) of unit variance, or one side, and z.
 
     Returns:
-        The samples' w (p, d + nx) and candidates (p, d), the last of z; half the difference of each pair's w
-        (h, d + nx); and how far the pairs' middles lie from z (h, d), none of one side.
+        The samples' w (p, k + nx) and candidates (p, d), the last of z; half the difference of each pair's w
+        (h, k + nx); and how far the pairs' middles lie from z (h, d), none of one side.
     """
-    d, half = z.size, len(directions)
+    k, half = shape.shape[1], len(directions)
     directions = directions * SHORT if straight else directions
     others = directions[:0] if straight else -directions
     signs = np.concatenate((directions, others, np.zeros((1, directions.shape[1]))))
-    candidates = space.clip(z + signs[:, :d] @ shape.T)
+    candidates = space.clip(z + signs[:, :k] @ shape.T)
     # a bound may have cut a step short: the step that was really taken is half the pair's difference
     plus, minus = candidates[:half], candidates[-1:] if straight else candidates[half:-1]
-    first_steps = directions[:, d:] * (0.5 if straight else 1.0)
+    first_steps = directions[:, k:] * (0.5 if straight else 1.0)
     steps = np.concatenate((coordinates(shape, 0.5 * (plus - minus)), first_steps), axis=1)
     return signs, candidates, steps, 0.5 * (plus + minus)[: len(others)] - z
 
@@ -484,11 +485,11 @@ def _by_coordinates(slopes: FloatArray, shape: FloatArray, first_shape: FloatArr
     A step is dz = S w, and r moves by Gz S w: the slopes by w are Gz S, those by z are they times S^-1.
 
     Args:
-        slopes: Slopes by w, shape (c, d + n, R).
-        shape: S of the samples of z, shape (d, d); directions that are not sampled have slope zero.
+        slopes: Slopes by w, shape (c, k + n, R).
+        shape: S of the samples of z, shape (d, k); directions that are not sampled have slope zero.
         first_shape: S of the samples of each clip's first-state error, shape (c, nx, n); likewise.
     """
-    by_w, by_v = np.split(slopes, [len(shape)], axis=1)
+    by_w, by_v = np.split(slopes, [shape.shape[1]], axis=1)
     of_z = np.einsum("wd,cwr->cdr", np.linalg.pinv(shape, rcond=1e-9), by_w)
     return np.concatenate((of_z, np.linalg.pinv(first_shape).transpose(0, 2, 1) @ by_v), axis=1)
 

@@ -28,6 +28,7 @@ from amhe_cli.estimation.core.linearise import (
     linearise,
     sampling_width,
 )
+from amhe_cli.estimation.core.result import Iteration
 from amhe_cli.estimation.offline.clips import ClipPool, evenly, of_each_kind, places
 from amhe_cli.matching.cost import MatchingCost, Residuals
 from amhe_cli.matching.starts import first_index
@@ -71,6 +72,23 @@ class KnownNoise:
     times: Mapping[str, float]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Carried:
+    """Slopes of all clips, seen from where a later step ended.
+
+    Args:
+        record: The record of the search until there.
+        slopes: They take no more rollouts.
+        steps: Number of steps since they were sampled.
+        way: Length of these steps, in posterior sd.
+    """
+
+    record: Sequence[Iteration]
+    slopes: Linearisation
+    steps: int
+    way: float
+
+
 #: Whether a search may end with its state, a `SearchState`, after an iteration.
 Ends = Callable[["Problem", Any], bool]
 
@@ -93,6 +111,7 @@ class Problem:
         ends: Whether its search may end with a state, beside.
         noise: What is taken for noise; None: what residuals show.
         like: A problem of the same unknowns under other priors; on the same clips it knows what moves what.
+        quick: Its search takes slopes again as long as the cost falls as they predict.
     """
 
     system: System
@@ -108,6 +127,7 @@ class Problem:
     ends: Ends | None = None
     noise: KnownNoise | None = None
     like: Problem | None = None
+    quick: bool = False
 
     @property
     def rough(self) -> bool:
@@ -132,6 +152,11 @@ class Problem:
         if self.noise is not None:
             return kept[key].under(self.noise.scale, self.noise.times)
         return kept[key].scaled(scale) if scale else kept[key]
+
+    @cached_property
+    def newest(self) -> list[Carried]:
+        """Slopes that hold where the last step of a quick search ended, one or none."""
+        return []
 
     @cached_property
     def _laid_out(self) -> dict[tuple[Window, ...], MatchingCost]:
@@ -276,7 +301,8 @@ class Problem:
     def _moved(self) -> tuple[dict[str, BoolArray], BoolArray]:
         """Columns of each channel that a step of half a prior sd moves, (d, k), and steps that diverge, (d,).
 
-        The other side is tried of those alone that the first side leaves without an effect.
+        What moves all in some of the clips is not looked at in the others, and the other side is tried of
+        those alone that the first side leaves without an effect.
         What does not move all is looked at away from the prior's mean, too: a joint does not feel a mass
         whose centre lies on its axis, until the centre moves. What has the prior that it has in a problem
         like this one moves what it moves there.
@@ -294,15 +320,23 @@ class Problem:
             )
             left = np.flatnonzero(like.system.space.prior_sd != self.system.space.prior_sd)
         fresh = left
-        for side in (0.5, -0.5):
-            if not left.size:
-                break
-            steps = side * np.concatenate((np.zeros((1, d)), np.eye(d)[left]))
-            residuals = cost.residuals(self.system.space.clip(steps))
-            for key, columns in _moved_columns(cost, residuals).items():
-                moved[key][left] = columns
-            diverged[left] = ~residuals.completed[1:].all(axis=1)
-            felt = np.any([columns[left].any(axis=1) for columns in moved.values()], axis=0)
+        for columns in moved.values():
+            columns[fresh] = False
+        diverged[fresh] = False
+        every = np.arange(len(self._some_clips))
+        few = every[:: -(-len(every) // FEW)]
+        for side, clips, enough in (
+            (0.5, few, np.all),
+            (0.5, np.setdiff1d(every, few), np.any),
+            (-0.5, every, np.any),
+        ):
+            if left.size and clips.size:
+                some, steps = cost.of(clips), side * np.concatenate((np.zeros((1, d)), np.eye(d)[left]))
+                residuals = some.residuals(self.system.space.clip(steps))
+                for key, columns in _moved_columns(some, residuals).items():
+                    moved[key][left] |= columns
+                diverged[left] |= ~residuals.completed[1:].all(axis=1)
+            felt = enough(np.concatenate([columns[left] for columns in moved.values()], axis=1), axis=1)
             left = left[~(felt | diverged[left])]
         some = ~np.all([columns[fresh].all(axis=1) for columns in moved.values()], axis=0)
         gaps = fresh[np.broadcast_to(some, fresh.shape)]

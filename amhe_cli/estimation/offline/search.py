@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray, to_host
+from amhe_cli.core.arrays import BoolArray, FloatArray, namespace_of, to_host
 from amhe_cli.core.errors import EstimationError
 from amhe_cli.core.log import Window
 from amhe_cli.core.settings import IdentifySettings
@@ -20,6 +20,7 @@ from amhe_cli.estimation.core.information import (
     gauss_newton_step,
     information,
     objective,
+    of_residuals,
     remaining_noise_scale,
     step_within,
 )
@@ -35,7 +36,7 @@ from amhe_cli.estimation.core.linearise import (
     within,
 )
 from amhe_cli.estimation.core.result import Iteration
-from amhe_cli.estimation.offline.problem import Problem, spread_floor
+from amhe_cli.estimation.offline.problem import Carried, Problem, spread_floor
 from amhe_cli.matching.cost import Residuals, quadratic_prior
 
 Stage = Literal["explore", "polish", "done"]
@@ -62,6 +63,11 @@ AS_PREDICTED = 0.25
 #: Before that the step is corrected by the same slopes, at most so often: in a valley that bends it goes on
 #: along the valley (the chord method; one rollout a clip).
 CORRECTED = 3
+#: A quick search takes the same slopes so often, as long as the cost falls as they predict.
+AGAIN = 8
+#: It ends with a step of so many posterior sd in a valley that bends, along which the cost does not fall as
+#: predicted: the square of a step, halved, is the most that it gains of log likelihood.
+BENT = 2.4
 #: Where none of these helps, damped steps are tried: the share of each curvature that is added to it
 #: (Marquardt 1963).
 DAMPED = np.array([0.1, 1.0, 10.0, 100.0])
@@ -120,7 +126,11 @@ def total(problem: Problem, state: SearchState) -> int:
 
 
 def restart(
-    problem: Problem, z: FloatArray, shape: FloatArray | None = None, first: FirstStates | None = None
+    problem: Problem,
+    z: FloatArray,
+    shape: FloatArray | None = None,
+    first: FirstStates | None = None,
+    scale: Mapping[str, float] | None = None,
 ) -> SearchState:
     """State that polishes from z (d,), for a part of a solved problem.
 
@@ -129,17 +139,53 @@ def restart(
         z: Where to start, shape (d,).
         shape: Shape of the samples of z (d, d) that proved to be straight; None: none did.
         first: What is known of the clips' first states; None: as recorded.
+        scale: The noise that a search nearby has left: it begins with all clips, and with this noise.
     """
     if shape is not None:
-        return SearchState("polish", 0, z, shape, straight=True)
+        return SearchState("polish", ROUGHLY if scale else 0, z, shape, scale or {}, straight=True)
     return SearchState("polish", 0, z, diagonal(0.5 * WIDEST, problem.active), first=first)
 
 
 def advance(problem: Problem, state: SearchState) -> SearchState:
     """One iteration: draw clips, linearise, step, and decide what comes next."""
-    slopes = slopes_at(problem, state)
+    known = next((one for one in problem.newest if one.record is state.record), None)
+    known = known if known is None or known.steps < AGAIN else None
+    slopes = known.slopes if known else slopes_at(problem, state)
     info = information(slopes, steps=True)
-    return stepped(problem, state, slopes, info, gauss_newton(problem, state, slopes, info))
+    taken = gauss_newton(problem, state, slopes, info)
+    after = stepped(problem, state, slopes, info, taken)
+    if problem.quick:
+        problem.newest[:] = _carried(problem, slopes, taken, after, known)
+    return after
+
+
+def _carried(
+    problem: Problem, slopes: Linearisation, taken: LineStep, after: SearchState, before: Carried | None
+) -> Iterator[Carried]:
+    """Slopes of all clips, seen from the end of a step, if the cost fell as they predict: they hold there.
+
+    `before`: how they were carried to where the step began.
+    """
+    if taken.left is None or not taken.predicted or after.first is None:
+        return
+    cost, noise = problem.cost(problem.clips, after.scale), slopes.cost.noise_scale
+    keys = [observed.channel.key for observed in cost.clips.observed]
+    quieter = of_residuals(cost, [noise.get(k, 1.0) / cost.noise_scale.get(k, 1.0) for k in keys])
+    there = replace(
+        slopes,
+        cost=cost,
+        residual=quieter * taken.left.flat[0],
+        gain=quieter * slopes.gain,
+        curves=slopes.curves * namespace_of(slopes.curves).asarray(quieter),
+        lift=quieter * slopes.lift,
+        bend=quieter**2 * slopes.bend,
+        first=after.first,
+        completed=slopes.completed & taken.left.completed[0],
+        rollouts=0,
+        diverged=0,
+    )
+    steps, way = (before.steps, before.way) if before else (0, 0.0)
+    yield Carried(after.record, there, steps + 1, way + taken.moved)
 
 
 def slopes_at(problem: Problem, state: SearchState) -> Linearisation:
@@ -182,9 +228,9 @@ def stepped(
     trail = state.trail
     if problem.non_smooth and not exploring:
         trail = np.append(trail.reshape(-1, taken.z.size), taken.z[None], axis=0)
-    still = taken.moved < (problem.enough or SETTLED) and not changed(
-        sampling_sd(state.shape), sampling_sd(shape)
-    )
+    same = not changed(sampling_sd(state.shape), sampling_sd(shape))
+    bent = problem.quick and not (taken.predicted or problem.noise or problem.touches)
+    still = (taken.moved < (problem.enough or SETTLED) and same) or (bent and taken.moved < BENT)
     # a step is short, too, while the misfit of an iteration before passes for noise
     quieter = any(sd < 0.8 * state.scale.get(key, 1.0) for key, sd in taken.scale.items() if state.scale)
     settled = still and not few and (problem.touches or not quieter or problem.noise is not None)
@@ -205,7 +251,7 @@ def stepped(
         scale=taken.scale,
         record=(*state.record, _entry(problem, state, taken, slopes)),
         first=first,
-        straight=not (problem.touches or taken.far)
+        straight=not (problem.touches or (taken.stuck if problem.quick else taken.far))
         and float(slopes.bend.mean()) < STRAIGHT * float((info.residual**2).mean()),
     )
 
@@ -230,20 +276,24 @@ class LineStep:
         z: The new estimate, shape (d,).
         moved: Length of the step, in posterior sd.
         far: The full step left the region that was sampled, and was shortened, or did not help.
+        stuck: It did not help.
         predicted: The cost fell as the slopes predict, so that they hold where the step ends.
         cost: Cost at the new estimate, in units of the declared noise.
         rollouts, diverged: Number of rollouts, and how many of them diverged.
         scale: Channel -> residual sd over declared noise sd.
+        left: Residuals of the one candidate where it ended, where nothing touches; None: it diverged.
     """
 
     z: FloatArray
     moved: float
     far: bool
+    stuck: bool
     predicted: bool
     cost: float
     rollouts: int
     diverged: int
     scale: Mapping[str, float]
+    left: Residuals | None
 
 
 def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, info: Information) -> LineStep:
@@ -270,7 +320,9 @@ def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, in
     tried = [along(line, line[:, None] * step)]
     if blind and np.isinf(tried[0].values[0]):
         tried.append(along(BLIND_LINE[1:], BLIND_LINE[1:, None] * step))
-    falls, stay = float((2.0 * whole - step) @ hessian @ step), tried[0].values[-1]
+    held, stay = bool(problem.quick or reach <= 1.0), tried[0].values[-1]
+    tested = step / max(1.0, reach) if problem.quick else step
+    falls = float((2.0 * whole - tested) @ hessian @ tested)
     if not problem.touches:
         for _ in range(CORRECTED * (reach <= 1.0)):  # a valley that bends is left by a straight step
             if not np.isfinite(tried[-1].values[0]) or _as_predicted(stay - tried[-1].values[0], falls):
@@ -287,20 +339,25 @@ def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, in
     best = int(np.argmax(np.isfinite(trial.values)) if blind else np.argmin(trial.values))
     moved = trial.z[best] - state.z if problem.touches else step
     length = float(np.sqrt(moved @ hessian @ moved))
+    stuck = bool(trial.line[best] == 0.0 and length > SETTLED)
     if problem.touches or not np.isfinite(trial.values[best]):
-        scale = fitted_noise_scale(slopes, info, cost.noise_scale)
+        scale, left = fitted_noise_scale(slopes, info, cost.noise_scale), None
     else:  # nothing jitters, so that one rollout shows the misfit that is left after the step
-        left = to_host(trial.residuals.stacked[best])
-        scale = remaining_noise_scale(cost, left, trial.first[best], weight > 0.0, cost.noise_scale)
+        both, one = trial.residuals, slice(best, best + 1)
+        left = Residuals(tuple(to_host(values[one]) for values in both.values), both.completed[one])
+        kept = weight > 0.0
+        scale = remaining_noise_scale(cost, left.flat[0], trial.first[best], kept, cost.noise_scale)
     return LineStep(
         z=trial.z[best],
         moved=length,
-        predicted=reach <= 1.0 and _as_predicted(stay - trial.values[best], falls),
-        far=bool(reach > 1.0) or (trial.line[best] == 0.0 and length > SETTLED),
+        predicted=held and _as_predicted(stay - trial.values[best], falls),
+        far=bool(reach > 1.0) or stuck,
+        stuck=stuck,
         cost=float(cost.as_declared(trial.residuals)[best]),
         rollouts=sum(each.residuals.completed.size for each in tried),
         diverged=sum(int((~each.residuals.completed).sum()) for each in tried),
         scale=scale,
+        left=left,
     )
 
 

@@ -43,9 +43,10 @@ class Watch:
     def keep(self, rollouts: int) -> None:
         """Keep the time of so many rollouts for the conclusion; the search begins now.
 
-        The time before it, as for the choice of clips, is no measure of its iterations.
+        The time before it, as for the choice of clips, and that of a search before it, is no measure of its
+        iterations.
         """
-        self._reserve, self._last = rollouts, time.monotonic()
+        self._reserve, self._last, self._pace = rollouts, time.monotonic(), 0.0
 
     def saw(self, iteration: Iteration, total: int) -> None:
         """Take note of an iteration of the search."""
@@ -82,11 +83,20 @@ class Watch:
         """Whether the search ended before it had settled."""
         return self.interrupted or self._late
 
+    def interrupt(self) -> None:
+        """Note that Ctrl-C ended a search, if its time has not."""
+        self.interrupted = not self._late
+
+    @property
+    def cause(self) -> str:
+        """Why a search was cut short, in words."""
+        return "it was interrupted" if self.interrupted else f"it had {self._limit:g} s"
+
     @property
     def short(self) -> str:
         """Why the values of a search that was cut short explain too little, in words."""
-        cause = "it was interrupted" if self.interrupted else f"it had {self._limit:g} s"
-        return f"the search did not end ({cause}), and its values do not explain the logs yet: give it longer"
+        done = f"the search did not end ({self.cause}), and its values do not explain the logs yet"
+        return f"{done}: give it longer"
 
     def affords(self, rollouts: float) -> bool:
         """Whether there is time for so many rollouts."""

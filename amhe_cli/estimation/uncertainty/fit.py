@@ -47,6 +47,8 @@ TURNS = 4
 LITTLE = 0.1
 #: Sampling sd of the first of them after CMA-ES, in prior sd.
 SMALL = 0.05
+#: Slopes from so many posterior sd away are those of the estimate.
+CLOSE = 1.0
 #: Factor on the samples by which curvature is judged.
 DOUBLED = 2.0
 
@@ -195,15 +197,19 @@ def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) ->
 
     Samples have the shape of the posterior, which depends on the linearisation: this is repeated until the
     shape no longer changes, or a watch has no time for more. After a rough search one linearisation is
-    enough, by steps to one side if the search took such steps.
+    enough, and after a quick one by steps to one side if the search took such steps, or by its last slopes.
     """
+    for known in problem.newest:
+        near = known.record is finding.record and (problem.rough or known.way < CLOSE)
+        if near and isinstance(finding, SearchState):
+            return fit_of(problem, finding, known.slopes, finding.shape, finding.scale)
     floor, rough = spread_floor(problem), problem.rough
     searched = isinstance(finding, SearchState)
     shape = finding.shape if searched else diagonal(SMALL, problem.active)
     scale, first = finding.scale, finding.first if searched else None
     # the last steps of the search have sampled in this shape and fitted the first states
     shaped = searched and first is not None and (problem.non_smooth or finding.settled)
-    one_sided = rough and searched and finding.straight
+    one_sided = (rough or problem.quick) and searched and finding.straight
     for turn in range(TURNS):
         slopes = _linearised(problem, finding.z, scale, shape, first, turn, one_sided)
         fit = fit_of(problem, finding, slopes, shape, scale)
@@ -325,7 +331,12 @@ class Scored:
 
 
 def scored(
-    problem: Problem, cost: MatchingCost, z: FloatArray, shape: FloatArray, first: FirstStates | None = None
+    problem: Problem,
+    cost: MatchingCost,
+    z: FloatArray,
+    shape: FloatArray,
+    first: FirstStates | None = None,
+    by_z: bool = False,
 ) -> Scored:
     """Fit the first states of clips under z (d,): the step that a linearisation gives, as far as it helps.
 
@@ -335,8 +346,12 @@ def scored(
         z: The values.
         shape: Shape of the samples of z, (d, d).
         first: Their recorded first states, and which of their errors matter; None: all.
+        by_z: The information on z is wanted, too. First states alone take a fraction of the rollouts, but
+            where slopes are those of means over the samples.
     """
     first = first or problem.recorded(cost)
+    if first.mean.size and not (by_z or problem.touches):
+        shape = shape[:, :0]
     slopes = problem.linearised(cost, z, first, shape, problem.rng(5), straight=not problem.touches)
     info = information(slopes)
     tried = LINE[:, None, None] * info.nuisance

@@ -168,7 +168,7 @@ def _confirmed(fit: FinalFit, z: FloatArray) -> Rival | None:
     """Whether all clips, their first states fitted, allow a minimum near z (d,) as well as the estimate."""
     cost, prior = fit.slopes.cost, fit.posterior.prior
     # a few clips have led to z: the minimum of all of them is a step away
-    info = scored(fit.problem, cost, z, fit.shape).information.summed(fit.weight)
+    info = scored(fit.problem, cost, z, fit.shape, by_z=True).information.summed(fit.weight)
     step = step_within(z, *gauss_newton_step(*info, prior, z), fit.space)
     places = fit.z, fit.space.clip(z + step)
     differs = np.abs(places[1] - places[0]) > SURPRISE * fit.posterior.sd

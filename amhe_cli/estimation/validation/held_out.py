@@ -133,9 +133,12 @@ def judge(fit: FinalFit, windows: Sequence[Window], held_out: HeldOut) -> tuple[
     against = []
     # residuals of wrong values repeat more: with a time of its own, each would count by another measure
     times = [max(pair) for pair in zip(now.times, before.times, strict=True)]
-    if worse(
-        now.misfit(times) - before.misfit(times), now.information.matrix, fit.posterior.covariance, fit.z
-    ):
+    rise, by_z = now.misfit(times) - before.misfit(times), now
+    if worst := not rise.sum() <= 0.0:  # else, no information is needed: nothing is always allowed
+        if not problem.touches:
+            by_z = scored(problem, cost, fit.z, fit.shape, by_z=True)
+        worst = worse(rise, by_z.information.matrix, fit.posterior.covariance, fit.z)
+    if worst:
         text = (
             f"held-out clips fit worse than under the prior: with first states fitted, their cost goes from "
             f"{costs[1]:.3g} to {costs[0]:.3g}"

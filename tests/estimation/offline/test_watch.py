@@ -103,3 +103,18 @@ def test_a_long_search_without_a_limit_says_how_long(clock, caplog) -> None:
         watch.saw(iteration(number), 16)
     (said,) = caplog.messages  # 15 iterations of 20 s, and a conclusion of 60 s
     assert said.startswith("this may take 6 min more, at 200 rollouts an iteration")
+
+
+def test_searches_that_share_a_watch_share_its_time_and_its_end(clock) -> None:
+    """The second search measures a pace of its own; what its time has ended is not interrupted."""
+    watch = Watch(lambda *_: None, 30.0, 6)
+    for left in (26.0, 22.0):
+        watch.keep(600)
+        assert not watch.stopped and not watch.cut_short
+        clock.now += 4.0
+        watch.saw(iteration(1), 16)
+        assert watch.affords(50.0 * left) and not watch.affords(50.1 * left)
+    clock.now += 20.0
+    assert watch.stopped and watch.cause == "it had 30 s"
+    watch.interrupt()
+    assert watch.cut_short and not watch.interrupted
