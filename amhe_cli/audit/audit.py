@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import partial
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -42,10 +43,11 @@ from amhe_cli.core.parameters import theta_of
 from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.core.statistics import correlation
 from amhe_cli.core.yaml_file import merged
-from amhe_cli.estimation.conclude import Search
+from amhe_cli.estimation.conclude import PARTS, Search
 from amhe_cli.estimation.core.result import Against, Identification, Iteration, ParameterResult
 from amhe_cli.estimation.identification import IdentifyOptions, concluded, searched_for
 from amhe_cli.estimation.offline.problem import Ends, KnownNoise
+from amhe_cli.estimation.offline.watch import Watch
 from amhe_cli.estimation.uncertainty.misfit import stalled
 from amhe_cli.init.folder import Proposal
 from amhe_cli.system.system import System
@@ -110,6 +112,7 @@ class Audit:
         found: That identification.
         claims: What the file claims.
         proposal: Model and signals.
+        unsearched: What was not searched to the end, in a sentence; '' where all was.
     """
 
     lines: tuple[Line, ...]
@@ -117,6 +120,7 @@ class Audit:
     found: Identification
     claims: tuple[Claim, ...]
     proposal: Proposal
+    unsearched: str = ""
 
     @property
     def beside(self) -> list[ParameterResult]:
@@ -136,9 +140,11 @@ def audit(
     read: Callable[[System], Sequence[Log]],
     options: IdentifyOptions,
     settings: Mapping[str, Any] | None = None,
-    progress: Callable[[Iteration, int], None] = lambda iteration, total: None,
+    progress: Callable[[str, int], None] = lambda doing, done: None,
 ) -> Audit:
     """Compare every number that decides a motion with logs.
+
+    What ends its searches early, Ctrl-C or the options' time, leaves undecided what they would have decided.
 
     Args:
         proposal: Model and signals; its parameters are replaced.
@@ -146,7 +152,8 @@ def audit(
         read: Reads the logs for a system.
         options: How to search.
         settings: Settings over the defaults.
-        progress: Called after each iteration.
+        progress: Called after each iteration of a search, and before each check, with what is being done, and
+            the number of both until then.
 
     Raises:
         ConfigError: The model has no number that these logs could tell.
@@ -157,12 +164,22 @@ def audit(
     claims = claims_of(proposal, _assumed(settings))
     if not claims:
         raise ConfigError("the model says no number of a joint that the log measures")
-    logs = list[Log]()
+    logs, doing, done = list[Log](), "", 0
+
+    def show(iteration: Iteration, total: int) -> None:
+        nonlocal done
+        done += 1
+        now = f"{doing}: cost {iteration.cost:.3g}"
+        progress(f"checking: {iteration.method}" if iteration.stage == "conclusion" else now, done)
+
+    watch = Watch(show, inf if options.max_time is None else options.max_time, PARTS)
 
     def searched(
         clips: int | None, length: float | None, enough: float | None,
         wide: Collection[Group], near: Search | None, noise: KnownNoise | None = None, ends: Ends = stalled,
     ) -> Search:  # fmt: skip
+        nonlocal doing
+        doing = "what else explains the logs" if noise else "what is far off" if length else "all numbers"
         guesses = [claim.guess(claim.group not in wide) for claim in claims]
         short = {"clips": {"length": [length, length]}} if length else {}
         parameters = [*guesses, *doubts_of(proposal)]
@@ -170,8 +187,8 @@ def audit(
         logs[:] = logs or read(system)
         enough = _NEAR if noise else enough
         return searched_for(
-            system, logs, None, options, progress, quick=True, near=near, clips=clips, enough=enough,
-            noise=noise, ends=ends,
+            system, logs, None, options, quick=True, near=near, clips=clips, enough=enough, noise=noise,
+            ends=ends, watch=watch,
         )  # fmt: skip
 
     search, wrong, again, seen = _searched(searched, claims, proposal.match)
@@ -180,11 +197,11 @@ def audit(
     try:
         first = first.further()
     except KeyboardInterrupt:
-        search.watch.interrupted = True
+        watch.interrupt()
     found, judgement, at = _concluded(again, look, first, seen)
     system = at.search.problem.system
     lines = _lines(system, found, claims, judgement, logs)
-    return Audit(tuple(lines), system, found, tuple(claims), proposal)
+    return Audit(tuple(lines), system, found, tuple(claims), proposal, judgement.unsearched)
 
 
 def _searched(
@@ -197,7 +214,7 @@ def _searched(
     search, wrong, again = None, frozenset[Group](), partial(searched, None, None, None)
     seen = list[Explanation]()
     for clips, length in ((None, None),) if match == "effort" else _CLIPS:
-        if search is not None and search.watch.interrupted:
+        if search is not None and search.watch.cut_short:
             break
         again, seen = partial(searched, clips, length, _WORTH if length else None), []
         try:
@@ -205,7 +222,7 @@ def _searched(
         except KeyboardInterrupt:
             if search is None:
                 raise
-            search.watch.interrupted = True  # what the search before this one found is reported
+            search.watch.interrupt()  # what the search before this one found is reported
         except EstimationError:
             if length is None:
                 raise
@@ -219,14 +236,38 @@ def _searched(
 class _Judgement:
     """Evidence of the best explanation, and of k claims what the logs say and the chances (k,).
 
-    `free`: the chance of each with all other sheets left open, as far as slopes reach. What that excludes, no
-    other explanation is searched for.
+    `free`: what the logs say of each with all other sheets left open, as far as slopes reach. What that
+    excludes, no other explanation is searched for. `unsearched`: as of `Audit`; `left`: groups whose other
+    explanations that is about, None: it is about the first explanation, and so about every number.
     """
 
     evidence: Findings
     said: Said
     chance: FloatArray
-    free: FloatArray
+    free: Said
+    unsearched: str = ""
+    left: Collection[Group] | None = ()
+
+    def doubtful(self, claims: Sequence[Claim], tested: Set[Group]) -> dict[Group, float]:
+        """Groups not yet tested whose numbers are far off, which something else may explain -> how far."""
+        far = chances(self.said.t)
+        some = contradicted(far) & ~contradicted(chances(self.free.t))
+        return {
+            claim.group: one
+            for claim, one, doubtful in zip(claims, far, some, strict=True)
+            if doubtful and claim.group not in tested
+        }
+
+    def unsure(
+        self, claims: Sequence[Claim], wrong: BoolArray, known: BoolArray, sheet: FloatArray
+    ) -> BoolArray:
+        """Which of k numbers, that are `wrong` or `known` (k,), what was not searched might decide otherwise.
+
+        A group that is left may be right if others are not; what others are then, only slopes say.
+        """
+        left = np.array([claim.group in (self.left or ()) for claim in claims])
+        open_to = (self.free.sd > sheet) | contradicted(chances(self.free.t))
+        return (left & wrong) | (left.any() & known & open_to)
 
 
 def _concluded(
@@ -238,20 +279,16 @@ def _concluded(
     """
     others, tested, decided = list(seen), set[Group](), set[Group]()
     found = concluded(first.search, quick=True)
-    judgement = _judgement(found, first, others, decided)
+    watch, judgement = first.search.watch, _judgement(found, first, others, decided)
+    if watch.cut_short:
+        text = f"the search did not end ({watch.cause}), and its values are the best so far"
+        return found, replace(judgement, unsearched=text, left=None), first
     try:
-        while not _unjudged(found):
-            far = chances(judgement.said.t)
-            some = zip(first.claims, far, contradicted(far) & ~contradicted(judgement.free), strict=True)
-            left = {
-                claim.group: one for claim, one, doubtful in some if doubtful and claim.group not in tested
-            }
-            if not left:
-                break
+        while not _unjudged(found) and (left := judgement.doubtful(first.claims, tested)):
             group = max(left, key=left.__getitem__)  # the first that something else may explain
-            tested.add(group)
             wider = _wider(found)
             other, ended = first.rival(searched, looked, group, wider)
+            tested.add(group)
             if ended:
                 decided.add(group)  # a search that has not ended excludes nothing
             if other is not None and other.against(first, wider) > 0.0:
@@ -261,7 +298,15 @@ def _concluded(
             others += [other] if other else []
             judgement = _judgement(found, first, others, decided)
     except KeyboardInterrupt:
-        found = replace(found, interrupted=True)
+        watch.interrupt()
+        found, judgement = (
+            replace(found, interrupted=watch.interrupted),
+            _judgement(found, first, others, decided),
+        )
+    if watch.cut_short:
+        left = judgement.doubtful(first.claims, tested)
+        text = f"what else explains the logs was not searched for to the end ({watch.cause})"
+        judgement = replace(judgement, unsearched=text, left=left)
     return found, judgement, first
 
 
@@ -297,7 +342,7 @@ def _judgement(
     file, right, log = sheets.file[rows], sheets.right[rows], space.log[rows]
     free = said(evidence.with_priors(sheets.sd(sheets.groups)), rows, file, right, log, least)
     logged = averaged([each for each, _ in tests], share.tolist(), file, right, log, least, evidence.at[rows])
-    return _Judgement(evidence, logged, chance, chances(free.t))
+    return _Judgement(evidence, logged, chance, free)
 
 
 def _once(odds: Mapping[Explanation, float]) -> dict[Explanation, float]:
@@ -330,20 +375,26 @@ def _lines(
     """The table."""
     logged, log = judgement.said, system.space.log[rows_of(system, claims)]
     sheet, factor = np.array([[c.sd, c.factor] for c in claims]).T
-    unjudged = _unjudged(found)
+    unjudged = judgement.unsearched if judgement.left is None else _unjudged(found)
     # sets that say nothing of a number may differ by much, and so may their mean
     wrong = contradicted(judgement.chance) & (chances(logged.t) < RATE) & (not unjudged)
     with np.errstate(over="ignore", invalid="ignore"):  # of what it does not show, a log may say anything
         value = factor * theta_of(log, logged.mean)
         sd = logged.sd * np.where(log, value, factor)
     doubtful = contradicted(chances(logged.t))  # something else may be wrong in its place
-    verdicts = verdicts_of(wrong, (logged.sd <= sheet) & ~doubtful & (not unjudged))
+    known = (logged.sd <= sheet) & ~doubtful & (not unjudged)
+    unsure = judgement.unsure(claims, wrong, known, sheet)
+    verdicts, later = (
+        verdicts_of(wrong & ~unsure, known & ~unsure),
+        np.where(unsure, judgement.unsearched, ""),
+    )
     weight = _weights(system, found, claims, wrong, logs)
     lines = [
         Line(
             c.number.of, c.number.what, c.number.unit, c.parameter, c.value, c.worth, float(value[i]),
             float(sd[i]), float(logged.t[i]), float(judgement.chance[i]), verdicts[i], weight[i],
-            unjudged or _cure(system, found, judgement.evidence, c) if verdicts[i] == VERDICTS[2] else "",
+            unjudged or str(later[i]) or _cure(system, found, judgement.evidence, c)
+            if verdicts[i] == VERDICTS[2] else "",
         )
         for i, c in enumerate(claims)
     ]  # fmt: skip
@@ -378,9 +429,7 @@ def _weights(
 
 
 def _unjudged(found: Identification) -> str:
-    """Why no number is judged; '' where numbers are."""
-    if found.interrupted:
-        return "the search was interrupted, and its values are the best so far"
+    """Why no number is judged, where a search has ended; '' where numbers are."""
     return "no value explains these logs, and none can be judged by them" if unexplained(found) else ""
 
 

@@ -217,12 +217,12 @@ def _misfit(fit: FinalFit, of: Search, few: Problem | None) -> float:
 
 
 def _ended(search: Search) -> Search:
-    """A search that was not interrupted; what interrupts one interrupts the audit.
+    """A search that was not cut short; what cuts one short, Ctrl-C or the time, ends the audit's searches.
 
     Raises:
         KeyboardInterrupt: It was.
     """
-    if search.watch.interrupted:
+    if search.watch.cut_short:
         raise KeyboardInterrupt
     return search
 
@@ -245,7 +245,7 @@ def without_suspects(
     search, refused, aside = searched(wrong, near), frozenset[Group](), frozenset[Group]()
     tried = {wrong}
     try:
-        for _ in range(0 if search.watch.interrupted else _ROUNDS):
+        for _ in range(0 if search.watch.cut_short else _ROUNDS):
             evidence, begin = sketched(search), search
             sheets = sheets_of(search.problem.system, claims)
             sets = wrong_sheets(evidence, sheets, wrong, right)
@@ -274,7 +274,7 @@ def without_suspects(
             else:
                 refused, aside = refused | new, frozenset()
     except KeyboardInterrupt:  # what was found so far is reported
-        search.watch.interrupted = True
+        search.watch.interrupt()
     return search, wrong
 
 

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     ),
     options.where,
     options.work,
+    options.max_time,
     options.tuning,
     options.output,
 )
@@ -101,11 +102,12 @@ def _logs(session: Session, model: Path, given: Given) -> None:
     """Audit a file by logs."""
     import logging
     from dataclasses import replace
+    from time import monotonic
 
     from amhe_cli.audit.audit import audit as run
     from amhe_cli.audit.audit import unexplained
     from amhe_cli.cli.inputs import urdf_options
-    from amhe_cli.cli.progress import of_search, progress
+    from amhe_cli.cli.progress import of_steps, progress
     from amhe_cli.cli.settings import NONE
     from amhe_cli.estimation.identification import IdentifyOptions
     from amhe_cli.init.folder import Proposal, proposed_as
@@ -121,18 +123,19 @@ def _logs(session: Session, model: Path, given: Given) -> None:
             model, system.matching(given.match) if given.match else system, urdf_options(model)
         )
 
-    def audited(proposal: Proposal) -> Audit:
-        with progress(session, "audit", of_search) as show:
+    def audited(proposal: Proposal, spent: float = 0.0) -> Audit:
+        left = given.max_time and max(given.max_time - spent, 0.0)
+        with progress(session, "audit", of_steps) as show:
             return run(
                 proposal,
                 model.stem,
                 lambda system: inputs.read(system.reading(inputs.topics), logs),
-                IdentifyOptions(**given.pick("seed", "threads", "engine")),
+                IdentifyOptions(**given.pick("seed", "threads", "engine"), max_time=left),
                 inputs.overrides.all,
-                lambda iteration, total: show((iteration, total)),
+                lambda doing, done: show((doing, done)),
             )
 
-    first = proposal(given.match != "motion")
+    first, began = proposal(given.match != "motion"), monotonic()
     if given.match not in (None, first.match):
         raise ConfigError(f"--match {given.match}: these logs can only be compared by {first.match}")
     # a hobby servo's load is no torque: where the log has commands as well, they can be compared
@@ -141,13 +144,13 @@ def _logs(session: Session, model: Path, given: Given) -> None:
         found = audited(first)
     except EstimationError as error:
         failed = error
-    missed = free and (found is None or (unexplained(found.found) and not found.found.interrupted))
+    missed = free and (found is None or (unexplained(found.found) and not found.unsearched))
     if missed and (other := proposal(False)).match == "motion":
         logging.getLogger(__name__).warning(
             "no value explains what the log has as torques: the motion under the commands is compared "
             "instead; --match effort keeps to the torques"
         )
-        found = audited(other)
+        found = audited(other, monotonic() - began)
     elif failed:
         raise failed
     assert found is not None

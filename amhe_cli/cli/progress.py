@@ -68,6 +68,12 @@ def of_search(item: tuple[Iteration, int]) -> Shown:
     return iteration.summary(total), iteration.number, total
 
 
+def of_steps(item: tuple[str, int]) -> Shown:
+    """What is shown of what is being done, and of the steps until then, of which nobody knows how many."""
+    doing, done = item
+    return f"step {done}: {doing}", done, None
+
+
 def _with_time_left(shown: Callable[[T], Shown]) -> Callable[[T], Shown]:
     """What is shown of an item, and the time that is left."""
     began = time.monotonic()

@@ -27,6 +27,8 @@ DONE, FAILED, USAGE, LOSSY, UNREADABLE, INTERRUPTED, TERMINATED = 0, 1, 2, 3, 4,
 PLAIN_WIDTH = 110
 
 
+#: What says that a command's results are in its folder.
+_RECORDS = ("result.json", "study.json", "audit.json")
 #: Signals other than Ctrl-C that end a command; SIGHUP comes when its terminal is closed.
 TERMINATING = (signal.SIGTERM, signal.SIGHUP)
 
@@ -115,7 +117,7 @@ class Session:
     @property
     def written(self) -> bool:
         """Whether its results are in its folder."""
-        files = [] if self.folder is None else [self.folder / name for name in ("result.json", "study.json")]
+        files = [] if self.folder is None else [self.folder / name for name in _RECORDS]
         return any(file.exists() and time.time() - file.stat().st_mtime < self.seconds for file in files)
 
     @property

@@ -96,24 +96,24 @@ def audit_text(lines: Sequence[Line], found: Audit | None, out: object = None) -
         yield f"cannot tell {numbers.some(names)}{': ' * bool(cure)}{cure}"
     yield count_text(lines)
     if found is not None:
-        yield from _against(found.found)
+        yield from _against(found)
         yield from _compared(found.found)
         yield f"held-out: {held_out_line(found.found.held_out)}"
     if out is not None:
         yield f"report: {out}/report.html"
 
 
-def _against(found: Identification) -> Iterator[str]:
+def _against(audit: Audit) -> Iterator[str]:
     """What speaks against all numbers of a table."""
-    refused = unexplained(found)
-    for one in found.unexplained:
+    found, refused = audit.found, unexplained(audit.found)
+    for one in (one for one in found.unexplained if not (audit.unsearched and one.kind == "short")):
         yield (
             f"the logs are not explained: {one.text}"
             if refused
             else f"{one.text}: every sd is wider by that factor"
         )
-    if found.interrupted:
-        yield "the search was interrupted: these are the best values so far"
+    if audit.unsearched:
+        yield audit.unsearched
     elif not found.settled:
         yield (
             "the search stopped before it settled: the sd of a number includes how far it may still move; "
@@ -154,6 +154,7 @@ def audit_record(lines: Sequence[Line], found: Audit | None) -> dict[str, Any]:
         "missing": missing,
     }
     about |= {"interrupted": found.found.interrupted, "settled": found.found.settled}
+    about |= {"unsearched": found.unsearched}
     return plain(listed | about)
 
 
@@ -240,9 +241,7 @@ def _page(
         )
         for line in wrong[: numbers.MOST_NAMES]
     ]
-    statements += [
-        Statement("bad", f"{text[0].upper()}{text[1:]}.") for text in map(typed, _against(found.found))
-    ]
+    statements += [Statement("bad", f"{text[0].upper()}{text[1:]}.") for text in map(typed, _against(found))]
     sections = [
         Section(
             "The numbers of the file",

@@ -22,6 +22,7 @@ from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.engine.inverse import forces_along
 from amhe_cli.estimation.core.result import Against
 from amhe_cli.estimation.identification import IdentifyOptions, searched_for
+from amhe_cli.estimation.offline.watch import Watch
 from amhe_cli.estimation.uncertainty import misfit as misfits
 from amhe_cli.init.folder import proposed, proposed_as
 from amhe_cli.logs import read_log
@@ -34,6 +35,13 @@ ARM = """<mujoco><option timestep='0.002'/><worldbody><body name='arm'>
 </body></worldbody>
 <actuator><position name='servo' joint='elbow' kp='{}' kv='0.1' forcerange='-3 3'/></actuator></mujoco>"""
 STIFF, SOFT = 400.0, 12.0
+
+
+def watch(interrupted: bool = False) -> Watch:
+    """The watch of a search without a limit."""
+    made = Watch(lambda *_: None, None, 1)
+    made.interrupted = interrupted
+    return made
 
 
 @pytest.mark.slow
@@ -118,8 +126,7 @@ def test_where_the_evidence_falls_with_several_sheets_each_of_them_is_tried(
 
     def searched(wrong, near) -> Any:
         asked.append(frozenset(wrong))
-        watch = SimpleNamespace(interrupted=False)
-        return SimpleNamespace(problem=SimpleNamespace(system=None), wrong=asked[-1], watch=watch)
+        return SimpleNamespace(problem=SimpleNamespace(system=None), wrong=asked[-1], watch=watch())
 
     def sets(evidence, sheets, wrong, right) -> dict[frozenset[str], float]:
         more = {wrong | {name}: value for name, value in (("c", 3.0), ("a", 2.0), ("b", 1.0))}
@@ -153,7 +160,7 @@ def test_a_search_that_is_interrupted_keeps_what_was_found_before(monkeypatch: p
         asked.append(frozenset(wrong))
         if len(asked) == 3:
             raise KeyboardInterrupt
-        return SimpleNamespace(problem=SimpleNamespace(system=None), watch=SimpleNamespace(interrupted=False))
+        return SimpleNamespace(problem=SimpleNamespace(system=None), watch=watch())
 
     for name, stub in (("sketched", id), ("sheets_of", lambda *_: None), ("_far_off", lambda *_: None)):
         monkeypatch.setattr(suspects, name, stub)
@@ -177,9 +184,8 @@ def test_an_interruption_before_the_second_search_begins_keeps_the_first(
         def further(self) -> Any:
             raise KeyboardInterrupt
 
-    first: Any = SimpleNamespace(
-        problem=SimpleNamespace(system="model"), watch=SimpleNamespace(interrupted=False), interrupted=True
-    )
+    first: Any = SimpleNamespace(problem=SimpleNamespace(system="model"), watch=watch())
+    judged = SimpleNamespace(unsearched="", left=())
 
     def without_suspects(searched, claims, wrong, near, seen) -> Any:
         if near is not None:
@@ -189,13 +195,17 @@ def test_an_interruption_before_the_second_search_begins_keeps_the_first(
     for name, stub in (
         ("claims_of", lambda *_: ["a claim"]), ("doubts_of", lambda _: []), ("_lines", lambda *_: []),
         ("without_suspects", without_suspects), ("concluded", lambda search, quick: search),
-        ("_judgement", lambda *_: None),
-        ("Explanation", lambda search, wrong, claims: Stopped(search)),
+        ("_judgement", lambda *_: judged),
+        ("replace", lambda one, **more: SimpleNamespace(**vars(one) | more)),
+        ("Watch", lambda *_: first.watch), ("Explanation", lambda search, wrong, claims: Stopped(search)),
     ):  # fmt: skip
         monkeypatch.setattr(module, name, stub)
     proposal: Any = SimpleNamespace(settings={}, match="motion")
-    found: Any = module.audit(proposal, "arm", lambda _: [], IdentifyOptions()).found
-    assert found is first and first.watch.interrupted
+    found = module.audit(proposal, "arm", lambda _: [], IdentifyOptions())
+    assert found.found is first and first.watch.interrupted
+    assert (
+        found.unsearched == "the search did not end (it was interrupted), and its values are the best so far"
+    )
 
 
 @dataclass
@@ -219,7 +229,7 @@ def test_an_interruption_of_a_second_explanation_ends_the_audit(monkeypatch: pyt
     problem = SimpleNamespace(system=SimpleNamespace(space=space))
 
     def searching(interrupted: bool) -> Any:
-        return Searching(Found(np.zeros(1)), problem, SimpleNamespace(interrupted=interrupted))
+        return Searching(Found(np.zeros(1)), problem, watch(interrupted))
 
     monkeypatch.setattr(suspects, "noise_of", lambda *_: None)
     monkeypatch.setattr(Searching, "fit", None, raising=False)
@@ -238,7 +248,7 @@ def test_a_search_that_has_not_ended_goes_on_before_it_excludes_anything(
     )
 
     def searching(odds: float) -> Any:
-        found = Searching(Found(np.full(1, odds)), SimpleNamespace(), SimpleNamespace(interrupted=False))
+        found = Searching(Found(np.full(1, odds)), SimpleNamespace(), watch())
         found.problem.system = SimpleNamespace(space=space)
         return found
 
@@ -267,7 +277,7 @@ def test_each_search_for_something_else_ends_by_the_odds_of_the_sheets_that_it_l
 ) -> None:
     mass, gain = frozenset({("arm", "mass")}), frozenset({("arm", "gain")})
     space = SimpleNamespace(phi_of=np.asarray, nominal=np.zeros(1), prior_sd=np.ones(1), clip=np.asarray)
-    search: Any = Searching(Found(np.zeros(1)), SimpleNamespace(), SimpleNamespace(interrupted=False))
+    search: Any = Searching(Found(np.zeros(1)), SimpleNamespace(), watch())
     search.problem.system = SimpleNamespace(space=space)
     asked = []
 
@@ -402,7 +412,7 @@ def test_what_was_seen_is_cut_only_where_the_noise_is_that_of_held_out_clips(
     monkeypatch.setattr(module, "concluded", lambda search, quick: SimpleNamespace(unexplained=()))
     monkeypatch.setattr(module, "_unjudged", lambda found: "not judged")
     monkeypatch.setattr(module, "_judgement", lambda found, first, others, _: judged.extend(others))
-    first: Any = SimpleNamespace(search=None)
+    first: Any = SimpleNamespace(search=SimpleNamespace(watch=watch()))
     module._concluded(lambda *_: 0, lambda *_: 0, first, seen)  # type: ignore[arg-type]
     assert judged == seen
 
@@ -424,14 +434,19 @@ def test_only_held_out_clips_that_are_missed_more_leave_numbers_judged() -> None
         held_out = SimpleNamespace(misses={"joints.position": 2.0})
         return SimpleNamespace(unexplained=texts, held_out=held_out, interrupted=False, settled=True)
 
+    def against(*texts: Against, unsearched: str = "") -> list[str]:
+        audit: Any = SimpleNamespace(found=found(*texts), unsearched=unsearched)
+        return list(_against(audit))
+
     assert module.unexplained(found(missed)) == () and not module._unjudged(found(missed))
     assert module._wider(found(missed)) == 2.0
-    assert list(_against(found(missed))) == [f"{missed.text}: every sd is wider by that factor"]
+    assert against(missed) == [f"{missed.text}: every sd is wider by that factor"]
+    assert against(Against("short", "it did not end"), unsearched="it had 3 s") == ["it had 3 s"]
     for kind in ("misfit", "left out", "worse", "short"):
         other = Against(kind, "it misses")
         assert module.unexplained(found(missed, other)) == (other,)
         assert module._unjudged(found(other)).startswith("no value explains these logs")
-        assert all("not explained" in text for text in _against(found(missed, other)))
+        assert all("not explained" in text for text in against(missed, other))
 
 
 def test_first_states_are_those_of_a_search_that_cut_the_same_clips_anew(
@@ -466,7 +481,7 @@ def test_what_a_system_folder_adds_to_a_file_is_unknown_too() -> None:
     names = [one.name for one in doubts_of(proposal)]
     assert names == ["back_emf", "supply_sag", "load_friction", "zero", "delay"]
     alone = replace(proposal, parameters=[])
-    assert [one.name for one in doubts_of(alone)] == ["pendulum_offset", "command_delay"]
+    assert [one.name for one in doubts_of(alone)] == ["pendulum_offset", "command_delay", "servo_command_offset"]
     claimed = [claim.parameter for claim in claims_of(proposal, AssumedSettings())]
     assert {"servo_gain", "load_mass"} < set(claimed) and not set(names) & set(claimed)
     assert set(proposal.system("xl330").space.names) == set(names)

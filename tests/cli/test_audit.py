@@ -9,6 +9,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from amhe_cli.audit.suspects import Explanation
+from amhe_cli.cli import progress
 from amhe_cli.cli.main import run
 from amhe_cli.engine.inverse import forces_along
 from amhe_cli.estimation.uncertainty import misfit
@@ -72,6 +74,46 @@ def test_spoilt_numbers_are_contradicted_and_right_ones_are_not(audited) -> None
     zeros = {one["name"]: one for one in record["beside"]}
     assert set(zeros) == {"shoulder_torque_offset", "elbow_torque_offset"}
     assert all(abs(one["estimate"]) < 3.0 * one["sd"] < one["prior_sd"] for one in zeros.values())
+
+
+@pytest.mark.medium
+def test_what_there_is_when_the_time_is_over_is_written(tmp_path: Path, capsys, monkeypatch) -> None:
+    """The first search has no time to end: nothing is judged, and files and terminal say why."""
+    monkeypatch.setattr(progress, "PLAIN_PERIOD", 0.0)
+    model, log = spoilt(tmp_path)
+    out = tmp_path / "out"
+    assert run(["audit", str(model), str(log), "-o", str(out), "--max-time", "0.01", "--threads", "1"]) == 0
+    said, record = capsys.readouterr(), json.loads((out / "audit.json").read_text())
+    why = "the search did not end (it had 0.01 s), and its values are the best so far"
+    assert {(line["verdict"], line["cure"]) for line in record["numbers"]} == {("cannot tell", why)}
+    assert record["unsearched"] == why and not record["interrupted"] and said.out.count(f"\n{why}\n") == 1
+    assert said.err.count("--max-time of 0.01 s stopped the search") == 1
+    assert why[1:] in unescape((out / "report.html").read_text())
+
+
+@pytest.mark.medium
+def test_ctrl_c_keeps_the_verdicts_that_rest_on_no_other_search(tmp_path: Path, capsys, monkeypatch) -> None:
+    """It comes while something else than a mass is looked for; a damping is wrong whatever else is."""
+
+    def rival(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Explanation, "rival", rival)
+    monkeypatch.setattr(progress, "PLAIN_PERIOD", 0.0)
+    model, log = spoilt(tmp_path)
+    out = tmp_path / "out"
+    assert run(["audit", str(model), str(log), "-o", str(out), "--threads", "1"]) == 130
+    said, record = capsys.readouterr(), json.loads((out / "audit.json").read_text())
+    lines = {line["parameter"]: line for line in record["numbers"]}
+    why = "what else explains the logs was not searched for to the end (it was interrupted)"
+    assert lines["elbow_damping"]["verdict"] == "contradicted"
+    assert (lines["upper_mass"]["verdict"], lines["upper_mass"]["cure"]) == ("cannot tell", why)
+    assert record["interrupted"] and record["unsearched"] == why and f"\n{why}\n" in said.out
+    assert (out / "report.html").is_file()
+    model = mujoco.MjModel.from_xml_path(str(out / "robot.audited.xml"))
+    assert model.joint("elbow").damping[0] < 1.0 and model.body("upper").mass[0] == 3.6
+    steps = [int(one) for one in re.findall(r"amhe audit: step (\d+): ", said.err)]
+    assert len(steps) > 5 and steps == list(range(1, len(steps) + 1))
 
 
 def test_the_written_file_has_the_numbers_of_the_log(audited) -> None:
