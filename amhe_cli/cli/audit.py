@@ -125,15 +125,12 @@ def _logs(session: Session, model: Path, given: Given) -> None:
 
     def audited(proposal: Proposal, spent: float = 0.0) -> Audit:
         left = given.max_time and max(given.max_time - spent, 0.0)
+        how = IdentifyOptions(**given.pick("seed", "threads", "engine"), max_time=left)
         with progress(session, "audit", of_steps) as show:
             return run(
-                proposal,
-                model.stem,
-                lambda system: inputs.read(system.reading(inputs.topics), logs),
-                IdentifyOptions(**given.pick("seed", "threads", "engine"), max_time=left),
-                inputs.overrides.all,
-                lambda doing, done: show((doing, done)),
-            )
+                proposal, model.stem, lambda system: inputs.read(system.reading(inputs.topics), logs), how,
+                inputs.overrides.all, lambda *step: show(step),
+            )  # fmt: skip
 
     first, began = proposal(given.match != "motion"), monotonic()
     if given.match not in (None, first.match):

@@ -481,7 +481,11 @@ def test_what_a_system_folder_adds_to_a_file_is_unknown_too() -> None:
     names = [one.name for one in doubts_of(proposal)]
     assert names == ["back_emf", "supply_sag", "load_friction", "zero", "delay"]
     alone = replace(proposal, parameters=[])
-    assert [one.name for one in doubts_of(alone)] == ["pendulum_offset", "command_delay", "servo_command_offset"]
+    assert [one.name for one in doubts_of(alone)] == [
+        "pendulum_offset",
+        "command_delay",
+        "servo_command_offset",
+    ]
     claimed = [claim.parameter for claim in claims_of(proposal, AssumedSettings())]
     assert {"servo_gain", "load_mass"} < set(claimed) and not set(names) & set(claimed)
     assert set(proposal.system("xl330").space.names) == set(names)
