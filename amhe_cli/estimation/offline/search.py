@@ -339,20 +339,18 @@ def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, in
     best = int(np.argmax(np.isfinite(trial.values)) if blind else np.argmin(trial.values))
     moved = trial.z[best] - state.z if problem.touches else step
     length = float(np.sqrt(moved @ hessian @ moved))
-    stuck = bool(trial.line[best] == 0.0 and length > SETTLED)
+    stuck = trial.line[best] == 0.0 and length > SETTLED
     if problem.touches or not np.isfinite(trial.values[best]):
         scale, left = fitted_noise_scale(slopes, info, cost.noise_scale), None
     else:  # nothing jitters, so that one rollout shows the misfit that is left after the step
-        both, one = trial.residuals, slice(best, best + 1)
-        left = Residuals(tuple(to_host(values[one]) for values in both.values), both.completed[one])
-        kept = weight > 0.0
-        scale = remaining_noise_scale(cost, left.flat[0], trial.first[best], kept, cost.noise_scale)
+        left, first = trial.residuals_of(best), trial.first[best]
+        scale = remaining_noise_scale(cost, left.flat[0], first, weight > 0.0, cost.noise_scale)
     return LineStep(
         z=trial.z[best],
         moved=length,
         predicted=held and _as_predicted(stay - trial.values[best], falls),
-        far=bool(reach > 1.0) or stuck,
-        stuck=stuck,
+        far=bool(reach > 1.0 or stuck),
+        stuck=bool(stuck),
         cost=float(cost.as_declared(trial.residuals)[best]),
         rollouts=sum(each.residuals.completed.size for each in tried),
         diverged=sum(int((~each.residuals.completed).sum()) for each in tried),
@@ -370,6 +368,11 @@ class _Tried:
     first: FloatArray
     residuals: Residuals
     values: FloatArray
+
+    def residuals_of(self, one: int) -> Residuals:
+        """Those of one of them, on the host."""
+        values = tuple(to_host(each[one : one + 1]) for each in self.residuals.values)
+        return Residuals(values, self.residuals.completed[one : one + 1])
 
 
 def _score(slopes: Linearisation, info: Information, weight: FloatArray, trial: _Tried) -> FloatArray:
