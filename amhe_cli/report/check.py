@@ -172,7 +172,8 @@ def _motion_table(moved: Sequence[JointMotion]) -> Table:
     rows = []
     for one in moved:
         factor, unit = shown_unit(one.unit)
-        low, high, speed = (f"{factor * value:.3g}" for value in (one.low, one.high, one.speed))
+        shown = [factor * value for value in (one.low, one.high, one.speed)]
+        low, high, speed = (f"{value:.3g}" if abs(value) < 1e3 else f"{value:.0f}" for value in shown)
         ends = f"{low} to {high}{' ' * unit.isalpha()}{unit}"
         share = "" if one.share is None else numbers.percent(one.share)
         band = "" if one.band is None else f"{one.band:.2g} Hz"
