@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import mujoco
@@ -9,7 +10,7 @@ import numpy as np
 
 from amhe_cli.audit.audit import Line, in_order, verdicts_of
 from amhe_cli.audit.claims import sheet_of
-from amhe_cli.audit.judge import chances, contradicted
+from amhe_cli.audit.judge import chances, compared, contradicted
 from amhe_cli.audit.weight import anywhere, weights
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief import Belief, with_prior
@@ -133,19 +134,26 @@ def held_against(system: System, belief: Belief, file: mujoco.MjModel) -> list[L
     space = with_prior(system.space, belief)
     model = system.edits.apply(system.model, space.nominal)
     theirs = {(n.kind, n.of, n.what): n for n in numbers_of(model)}
+    moved = list(_moved(system, space.nominal))
     pairs, rows, others = partners(file, model)[0], list[tuple[ModelNumber, FloatArray]](), []
     for number in numbers_of(file):
         own = theirs.get((number.kind, pairs[number.element].get(number.of, ""), number.what))
         sheet = sheet_of(number, file, AssumedSettings())
         if own is None or not sheet:
             continue
-        slope, said = _slope(system, space.nominal, own), number.value(file)
+        ends, said = np.array([[own.value(end) for end in two] for _, two in moved]), number.value(file)
+        slope = (ends[:, 1] - ends[:, 0]) / [step for step, _ in moved]
         sd = float(np.sqrt(slope @ belief.covariance @ slope))
         if sd > 0.0:
             rows.append((number, np.array([own.value(model), said, sd, sheet])))
             others.append(own.written(model, number.values(file)))
     log, said, sd, sheet = np.array([row for _, row in rows]).reshape(-1, 4).T
-    t = (log - said) / np.sqrt(sd**2 + sheet**2)
+    # as in an audit of logs: a data sheet errs by a factor, so that one five times too large is not near
+    share = np.array([n.kind != "center_of_mass" for n, _ in rows], dtype=bool) & (said > 0.0) & (log > 0.0)
+    one, other = np.where(share, log, 1.0), np.where(share, said, 1.0)
+    phi, file_phi = np.where(share, np.log(one), log), np.where(share, np.log(other), said)
+    right = np.where(share, -np.log1p(-np.minimum(sheet / other, 0.99)), sheet)
+    t = compared(phi, sd / one, file_phi, right, share, -np.inf, phi).t
     chance = chances(t)
     verdicts = verdicts_of(contradicted(chance), sd <= sheet)
     worth = weights(model, others, anywhere(model))
@@ -158,15 +166,14 @@ def held_against(system: System, belief: Belief, file: mujoco.MjModel) -> list[L
     )  # fmt: skip
 
 
-def _slope(system: System, theta: FloatArray, number: ModelNumber) -> FloatArray:
-    """Derivative of a number by the parameters on their own scales, shape (d,)."""
-    space, slope = system.space, np.zeros(len(theta))
+def _moved(
+    system: System, theta: FloatArray
+) -> Iterator[tuple[float, tuple[mujoco.MjModel, mujoco.MjModel]]]:
+    """Of each parameter the models at two values about theta (d,), and their distance on its scale."""
+    space = system.space
     for i, p in enumerate(space.parameters):
-        step = _STEP * p.prior_sd
-        ends = []
-        for way in (-step, step):
-            phi = space.phi_of(theta)
-            phi[i] += way
-            ends.append(number.value(system.edits.apply(system.model, theta_of(space.log, phi))))
-        slope[i] = (ends[1] - ends[0]) / (2.0 * step)
-    return slope
+        ways = np.array([[-1.0], [1.0]]) * _STEP * p.prior_sd * np.eye(len(theta))[i]
+        low, high = (
+            system.edits.apply(system.model, theta_of(space.log, space.phi_of(theta) + way)) for way in ways
+        )
+        yield 2.0 * _STEP * p.prior_sd, (low, high)

@@ -146,10 +146,10 @@ def said(
     q = np.maximum(1.0 / known - p**-2.0, _TINY * p**-2.0)
     mean = (m / known - n / p**2) / q
     sd = np.sqrt(1.0 / q + more / (known * q) ** 2)
-    return _compared(mean, sd, file, sheet, log, least, evidence.at[at])
+    return compared(mean, sd, file, sheet, log, least, evidence.at[at])
 
 
-def _compared(
+def compared(
     mean: FloatArray, sd: FloatArray, file: FloatArray, sheet: FloatArray, log: BoolArray,
     least: FloatArray | float, at: FloatArray,
 ) -> Said:  # fmt: skip
@@ -179,7 +179,7 @@ def averaged(
     sd = np.sqrt((weight * (sds**2 + (means - mean) ** 2)).sum(axis=0))
     number = np.where(log, mean, 1.0)
     mean, sd = np.where(log, top + np.log(number), mean), sd / number
-    return _compared(mean, sd, file, sheet, log, least, at)
+    return compared(mean, sd, file, sheet, log, least, at)
 
 
 def _proportional(said: FloatArray, sd: FloatArray, file: FloatArray, sheet: FloatArray) -> FloatArray:

@@ -237,10 +237,13 @@ def test_a_result_against_a_file(pendulum_log: Path, tmp_path: Path, capsys) -> 
         body.mass *= 5.0
     for joint in spec.joints:
         joint.armature = 0.0  # the file leaves it out
+        joint.damping = 5.0 * np.array(joint.damping)
     vendor.write_text(spec.to_xml())
     assert run(["audit", str(folder), "--against", str(vendor), "--json"]) == 0
     lines = json.loads(capsys.readouterr().out)["numbers"]
     assert "contradicted" in {line["verdict"] for line in lines if line["what"] == "mass"}
+    (drag,) = [line for line in lines if line["what"] == "damping"]
+    assert drag["verdict"] == "contradicted" and drag["t"] < -2.7  # as shares of the file, 0.8 / 0.3 at most
     (left_out,) = [line for line in lines if line["what"] == "armature"]
     assert left_out["file"] == 0.0 and 0.1 < left_out["t"] < 10.0  # a zero is not exact
 
