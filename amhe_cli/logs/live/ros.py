@@ -133,8 +133,7 @@ class Dds(RosTransport):
     """The topics of a DDS domain.
 
     Args:
-        topics: Topics that are wanted; None: all.
-        definitions: Definitions of message types.
+        topics, definitions: See `RosTransport`.
         domain: ROS_DOMAIN_ID.
         interface: Address of the one network interface to use; None: DDS chooses.
         peers: Addresses of other computers to look for participants on; none: by multicast, but on loopback.
@@ -302,8 +301,7 @@ class Zenoh(RosTransport):
     """The topics behind a Zenoh router.
 
     Args:
-        topics: Topics that are wanted; None: all.
-        definitions: Definitions of message types.
+        topics, definitions: See `RosTransport`.
         domain: ROS_DOMAIN_ID.
         connect: Endpoint of the router.
 

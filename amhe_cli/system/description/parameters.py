@@ -73,14 +73,7 @@ def _meant(name: str, patterns: list[str]) -> bool:
 
 
 class _Unknowns:
-    """What has been read of the parameters so far; mistakes are noted in the description.
-
-    Args:
-        file: The description.
-        model: The final model.
-        draft: The calibration's numbers.
-        commands: Actuator that a signal commands -> the delays of its commands.
-    """
+    """What has been read of the parameters so far, of the arguments of `unknowns_of`; mistakes are noted."""
 
     def __init__(
         self,
