@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from amhe_cli.audit.claims import Claim, Group, claims_of, doubts_of
+from amhe_cli.audit.claims import Claim, Group, claims_of, doubts_of, zeros_of_commands
 from amhe_cli.audit.judge import (
     ODDS,
     RATE,
@@ -49,7 +49,9 @@ from amhe_cli.estimation.identification import IdentifyOptions, concluded, searc
 from amhe_cli.estimation.offline.problem import Ends, KnownNoise
 from amhe_cli.estimation.offline.watch import Watch
 from amhe_cli.estimation.uncertainty.misfit import stalled
+from amhe_cli.estimation.uncertainty.misfit import unexplained as missed
 from amhe_cli.init.folder import Proposal
+from amhe_cli.init.signals import Guess
 from amhe_cli.system.system import System
 
 #: Clips of the searches where motions are matched, and their length [s]: many short ones, along which even
@@ -164,7 +166,7 @@ def audit(
     claims = claims_of(proposal, _assumed(settings))
     if not claims:
         raise ConfigError("the model says no number of a joint that the log measures")
-    logs, doing, done = list[Log](), "", 0
+    logs, zeros, doing, done = list[Log](), list[Guess](), "", 0
 
     def show(iteration: Iteration, total: int) -> None:
         nonlocal done
@@ -182,7 +184,7 @@ def audit(
         doing = "what else explains the logs" if noise else "what is far off" if length else "all numbers"
         guesses = [claim.guess(claim.group not in wide) for claim in claims]
         short = {"clips": {"length": [length, length]}} if length else {}
-        parameters = [*guesses, *doubts_of(proposal)]
+        parameters = [*guesses, *doubts_of(proposal), *zeros]
         system = replace(proposal, parameters=parameters).system(name, merged(settings, short))
         logs[:] = logs or read(system)
         enough = _NEAR if noise else enough
@@ -191,13 +193,24 @@ def audit(
             ends=ends, watch=watch,
         )  # fmt: skip
 
-    search, wrong, again, seen = _searched(searched, claims, proposal.match)
+    def begun() -> tuple[Explanation, Searched, list[Explanation]]:
+        search, wrong, again, seen = _searched(searched, claims, proposal.match)
+        first = Explanation(search, wrong, claims)
+        try:
+            first = first.further()
+        except KeyboardInterrupt:
+            watch.interrupt()
+        return first, again, seen
+
+    first, again, seen = begun()
+    if missed(first.search.fit) and not watch.cut_short and (more := zeros_of_commands(proposal)):
+        zeros[:] = more
+        other = begun()
+        if missed(other[0].search.fit):
+            zeros.clear()
+        else:
+            first, again, seen = other
     look = again if proposal.match == "effort" else partial(searched, _LOOK, None, None)
-    first = Explanation(search, wrong, claims)
-    try:
-        first = first.further()
-    except KeyboardInterrupt:
-        watch.interrupt()
     found, judgement, at = _concluded(again, look, first, seen)
     system = at.search.problem.system
     lines = _lines(system, found, claims, judgement, logs)

@@ -224,6 +224,32 @@ def test_two_files(tmp_path: Path, capsys) -> None:
 
 
 @pytest.mark.medium
+def test_a_command_that_counts_from_another_zero(tmp_path: Path, capsys) -> None:
+    """Without it no value would explain the log: what is off is constant, and 40 times the noise."""
+    text = """<mujoco><option timestep="0.002"/><worldbody><body name="arm">
+    <joint name="hinge" axis="0 1 0" damping="0.1" armature="0.01" frictionloss="0.02"/>
+    <inertial pos="0 0 -.2" mass="0.5" diaginertia="2e-3 2e-3 1e-4"/></body></worldbody>
+    <actuator><position name="servo" joint="hinge" kp="6" kv="0.2"/></actuator></mujoco>"""
+    (tmp_path / "arm.xml").write_text(text)
+    model, rng = mujoco.MjModel.from_xml_string(text), np.random.default_rng(3)
+    data, rows, phase = mujoco.MjData(model), list[tuple[float, float, float]](), rng.uniform(0.0, 6.0, 6)
+    for k in range(1200):
+        command = 0.4 * np.sin(2.0 * np.pi * np.geomspace(0.2, 2.0, 6) * 0.01 * k + phase).sum()
+        rows.append((0.01 * k, data.qpos[0] + rng.normal(0.0, 5e-4), command - 0.02))
+        data.ctrl[0] = command
+        mujoco.mj_step(model, data, 5)
+    np.savetxt(
+        tmp_path / "log.csv", rows, delimiter=",", header="time,position_hinge,command_hinge", comments=""
+    )
+    files = [str(tmp_path / name) for name in ("arm.xml", "log.csv")]
+    assert run(["audit", *files, "-o", str(tmp_path / "out"), "--json", "--threads", "1"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    (zero,) = [one for one in found["beside"] if one["name"] == "servo_command_offset"]
+    assert zero["estimate"] == pytest.approx(-0.02, abs=4.0 * zero["sd"]) and zero["sd"] < 0.005
+    assert {line["verdict"] for line in found["numbers"]} == {"agrees", "cannot tell"}
+
+
+@pytest.mark.medium
 def test_a_result_against_a_file(pendulum_log: Path, tmp_path: Path, capsys) -> None:
     scene = ROOT / "models" / "pendulum" / "scene.xml"
     folder = tmp_path / "found"
