@@ -48,8 +48,7 @@ from amhe_cli.estimation.core.result import Against, Identification, Iteration, 
 from amhe_cli.estimation.identification import IdentifyOptions, concluded, searched_for
 from amhe_cli.estimation.offline.problem import Ends, KnownNoise
 from amhe_cli.estimation.offline.watch import Watch
-from amhe_cli.estimation.uncertainty.misfit import stalled
-from amhe_cli.estimation.uncertainty.misfit import unexplained as missed
+from amhe_cli.estimation.uncertainty.misfit import SURPRISE, misfits, stalled
 from amhe_cli.init.folder import Proposal
 from amhe_cli.init.signals import Guess
 from amhe_cli.system.system import System
@@ -203,10 +202,10 @@ def audit(
         return first, again, seen
 
     first, again, seen = begun()
-    if missed(first.search.fit) and not watch.cut_short and (more := zeros_of_commands(proposal)):
+    if _missed(first) and not watch.cut_short and (more := zeros_of_commands(proposal)):
         zeros[:] = more
         other = begun()
-        if missed(other[0].search.fit):
+        if _missed(other[0]):
             zeros.clear()
         else:
             first, again, seen = other
@@ -215,6 +214,11 @@ def audit(
     system = at.search.problem.system
     lines = _lines(system, found, claims, judgement, logs)
     return Audit(tuple(lines), system, found, tuple(claims), proposal, judgement.unsearched)
+
+
+def _missed(one: Explanation) -> bool:
+    """Whether an explanation leaves more than noise."""
+    return any(scale > SURPRISE and not white for scale, white in misfits(one.search.fit).values())
 
 
 def _searched(

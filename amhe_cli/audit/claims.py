@@ -142,7 +142,7 @@ def doubts_of(proposal: Proposal) -> list[Guess]:
 def zeros_of_commands(proposal: Proposal) -> list[Guess]:
     """Those of servos beside their encoders' zeros; a firmware that is modelled counts from these.
 
-    They are tried where no value explains the logs: a stiff servo and an offset look like a soft servo.
+    They are tried where other values leave more than noise: a stiff servo and an offset look like a soft one.
     """
     taken = [target for one in proposal.parameters for target in one.entry["targets"]]
     if proposal.match == "effort" or any(target["set"] in OF_SERVO for target in taken):
