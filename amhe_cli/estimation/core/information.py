@@ -232,8 +232,8 @@ def _with_jitter(
         slopes, known: The linearised residuals, and the information of each clip.
         times: Autocorrelation time of each residual, shape (R,).
     """
-    pull, runs = _pull(slopes, known), 2.0 + 1.0 / len(slopes.pairs)
-    jitter = _jitter(slopes)
+    pull, jitter = _pull(slopes, known), _jitter(slopes)
+    runs = 2.0 + 1.0 / len(jitter)
     variance = runs * (jitter**2).sum(axis=0)
     lasts = of_residuals(slopes.cost, _times(slopes.cost, jitter, slopes.completed))
     counted = np.minimum((times - 1.0) * known.residual**2 + variance, lasts * variance)

@@ -9,9 +9,9 @@ A number that the log itself determines costs nothing where it was right, and it
 wrong. One that no log can determine costs what its data sheet leaves open. The symmetric root of S + m m'
 says what each number adds.
 
-Where contacts jitter, other contacts, another solver or a finer step are another draw of the jitter, of which
-no regression says anything. There the move of the estimate counts beyond what a draw of jitter moves it, as
-far as the log allows it: to where the misfit would have risen by SURPRISE squared.
+Where contacts jitter, so do the slopes by r: what z and first states cannot take over of their jitter would
+be information on r. The even response to the samples shows how much it is, and this much is taken out of each
+direction of r: of what is not resolved beyond it the log says nothing, and the whole sd counts.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray, IntArray, sealed
+from amhe_cli.core.arrays import FloatArray, IntArray, sealed, to_host
 from amhe_cli.core.statistics import root
 from amhe_cli.engine.open import contact_variants, finer_solver, finer_step
 from amhe_cli.estimation.core.agreement import SURPRISE
 from amhe_cli.estimation.core.information import (
     Information,
-    gauss_newton_step,
     information,
     objective,
-    of_jitter,
 )
+from amhe_cli.estimation.core.linearise import orthogonal_directions
 from amhe_cli.estimation.uncertainty.fit import FinalFit, posterior
 from amhe_cli.estimation.uncertainty.ledger import Source, Term
 from amhe_cli.matching.cost import MatchingCost, Residuals
@@ -61,7 +61,7 @@ FAR = 1.0
 #: Share of the misfit that one number explains from which another explains it as well.
 AS_WELL = 0.5
 #: Share of the largest variance below which a direction is rounding.
-RANK = 1e-6
+RANK = 1e-12
 #: Pairs of samples over which a change is averaged where contacts jitter.
 PAIRS = 4
 #: States of the rollouts that are examined for what acts in them, about.
@@ -74,22 +74,8 @@ def assumed(fit: FinalFit) -> tuple[Term, tuple[str, ...]]:
     exact = [value.setting for value in values if value.sd == 0.0]
     if problem.settings.identify.assumed.time_step == 0.0:
         exact.append("time_step")
-    changes = list(_changes(fit))
     values = [v for v in values if v.sd > 0.0]
-    # of jitter no regression says anything: the whole move counts
-    moves, known = (changes, []) if problem.non_smooth else ([], changes)
-    term = _regressed(fit, known, values)
-    errors = np.concatenate((*(change.error[:, None] for change in moves), term.errors), axis=1)
-    sources = (*(change.source for change in moves), *term.sources)
-    return replace(term, errors=errors, sources=sources), tuple(dict.fromkeys(exact))
-
-
-def allowed(rise: float) -> float:
-    """Share of a change of the model that raises the misfit by no more than SURPRISE squared.
-
-    Misfit rises with the square of the change; where all of the change raises it by less, it is 1.
-    """
-    return SURPRISE / float(np.sqrt(max(rise, SURPRISE**2)))
+    return _regressed(fit, list(_changes(fit)), values), tuple(dict.fromkeys(exact))
 
 
 # -- other contacts, another solver, a finer step ------------------------------------------------------------
@@ -101,24 +87,18 @@ class _Change:
 
     Args:
         source: The choice.
-        z: The move of the estimate, shape (d,).
-        slope: The change of the residuals besides the move, shape (c, R); 0 where a clip diverged.
-        rise: By how much the misfit rises.
+        slope: The change of the residuals besides the move of the estimate, shape (c, R); 0 where a clip
+            diverged.
+        error: Sd of its jitter, in that of the mean of a pair of samples.
     """
 
     source: Source
-    z: FloatArray
     slope: FloatArray
-    rise: float = 0.0
+    error: float = 0.0
 
     def times(self, factor: float, source: Source) -> _Change:
         """A multiple of it, with another name."""
-        return _Change(source, factor * self.z, factor * self.slope, factor**2 * self.rise)
-
-    @property
-    def error(self) -> FloatArray:
-        """The move, as far as the log allows it, shape (d,)."""
-        return allowed(self.rise) * self.z
+        return _Change(source, factor * self.slope, factor * self.error)
 
 
 def _changed(fit: FinalFit, cost: MatchingCost) -> tuple[_Change, float]:
@@ -132,20 +112,22 @@ def _changed(fit: FinalFit, cost: MatchingCost) -> tuple[_Change, float]:
         return residuals, float(objective(cost, residuals, first[None], fit.times, fit.weight)[0])
 
     there = cost.residuals(*_samples(fit))
-    both = slopes.completed & there.completed.all(axis=0)
-    info = information(replace(slopes, residual=there.flat.mean(axis=0), completed=both))
+    both, mean = slopes.completed & there.completed.all(axis=0), there.flat.mean(axis=0)
+    info = information(replace(slopes, residual=mean, completed=both))
     pairs = (fit.information, fit.weight), (info, fit.weight * both)
     steps = [posterior(fit.z, *pair, fit.space.loose_precision).step for pair in pairs]
     firsts = [one.first(step[None])[0] for (one, _), step in zip(pairs, steps, strict=True)]
     (here, least), (there, most) = map(after, (slopes.cost, cost), steps, firsts)
-    z = steps[1] - steps[0]
+    share = (most - least) / max(least, 1e-300)
     if fit.problem.non_smooth:
-        z = _beyond_jitter(fit, z)
+        error = float(np.sqrt(1.0 / PAIRS + 1.0 / len(slopes.pairs)))
+        return _Change(Source(""), np.where(both[:, None], mean - slopes.residual, 0.0), error), share
+    z = steps[1] - steps[0]
     gz, gx = np.split(slopes.gain, [len(z)], axis=1)
     along = np.einsum("d,cdr->cr", z, gz) + np.einsum("cx,cxr->cr", firsts[1] - firsts[0], gx)
     done = here.completed[0] & there.completed[0]
     slope = np.where(done[:, None], there.flat[0] - here.flat[0] - along, 0.0)
-    return _Change(Source(""), z, slope, most - least), (most - least) / max(least, 1e-300)
+    return _Change(Source(""), slope), share
 
 
 def _samples(fit: FinalFit) -> tuple[FloatArray, FloatArray | None]:
@@ -157,20 +139,6 @@ def _samples(fit: FinalFit) -> tuple[FloatArray, FloatArray | None]:
         w = np.concatenate((w, -w))
     errors = first.mean + np.einsum("cij,pj->pci", first.shape, w[:, z.size :])
     return fit.space.clip(z + w[:, : z.size] @ fit.shape.T), errors if first.mean.shape[1] else None
-
-
-def _beyond_jitter(fit: FinalFit, z: FloatArray) -> FloatArray:
-    """What of the move (d,) of an estimate between means of some rollouts is no draw of their jitter.
-
-    Jitter counts in the noise already. Of the move's square, in units of the covariance that it gives to the
-    difference of such means, chance makes the rank (James and Stein 1961).
-    """
-    jitter = np.einsum("c,cij->ij", fit.weight, of_jitter(fit.slopes, fit.information))
-    jitter = jitter * (1.0 / PAIRS + 1.0 / len(fit.slopes.pairs))
-    covariance = fit.posterior.inverse @ jitter @ fit.posterior.inverse
-    distance = float(z @ np.linalg.pinv(covariance, rcond=RANK, hermitian=True) @ z)
-    chance = np.linalg.matrix_rank(covariance, tol=RANK * np.linalg.norm(covariance, 2), hermitian=True)
-    return z * np.sqrt(max(1.0 - chance / max(distance, 1e-300), 0.0))
 
 
 def _changes(fit: FinalFit) -> Iterator[_Change]:
@@ -229,6 +197,20 @@ def _regressed(fit: FinalFit, changes: Sequence[_Change], values: Sequence[Assum
     return Term("assumed", errors, tuple(sources), shared=True)
 
 
+class _Slopes(NamedTuple):
+    """Slopes by K nuisances.
+
+    Args:
+        by: Slopes of the residuals, shape (c, K, R).
+        error: Sd of the jitter of each, in that of the mean of a pair of samples, shape (K,).
+        even: Even response to each of h pairs of samples, shape (h, c, R).
+    """
+
+    by: FloatArray
+    error: FloatArray
+    even: FloatArray
+
+
 class _Nuisances:
     """Further unknowns r beside z, in units of their sd.
 
@@ -236,7 +218,7 @@ class _Nuisances:
         fit: The final linearisation.
         changes: Those of known slope.
         values: Numbers of the model.
-        slopes: Slopes of the residuals by all of them, shape (c, K, R); None: not computed yet.
+        slopes: Slopes by all of them; None: not computed yet.
         at: Their values where `fit` was linearised, shape (K,); None: 0.
     """
 
@@ -245,7 +227,7 @@ class _Nuisances:
         fit: FinalFit,
         changes: Sequence[_Change],
         values: Sequence[Assumed],
-        slopes: FloatArray | None = None,
+        slopes: _Slopes | None = None,
         at: FloatArray | None = None,
     ) -> None:
         self.problem, self.fit = fit.problem, fit
@@ -279,7 +261,8 @@ class _Nuisances:
         first = len(self.changes)
         changes = [self.changes[i] for i in rows if i < first]
         values = [self.values[i - first] for i in rows if i >= first]
-        return _Nuisances(self.fit, changes, values, self.slopes[:, rows], self._at[rows])
+        slopes = self.slopes._replace(by=self.slopes.by[:, rows], error=self.slopes.error[rows])
+        return _Nuisances(self.fit, changes, values, slopes, self._at[rows])
 
     def followed(self) -> _Nuisances:
         """Slopes from samples along the ridges of the posterior: beside them the bend would be information.
@@ -287,14 +270,14 @@ class _Nuisances:
         Two gains and the masses have a common factor of which no log knows anything, and of each of them
         alone a log may know a thousandth of what its data sheet leaves open. So samples follow the axes of
         their posterior, by a part of its width, and z and the first states follow them; again, until it
-        gets no wider. Where contacts jitter, each number is moved by its sd.
+        gets no wider. Where contacts jitter, all numbers are moved at once, each by its sd.
         """
-        found, first, whole = self, len(self.changes), np.eye(len(self.values))
+        found, first = self, len(self.changes)
         for _ in range(TURNS):
             known, _, moves = found.posterior
             gain = self._loose[..., None] * found._found.nuisance_gain
             turns = gain[..., : len(moves)] @ moves[:, first:] + gain[..., len(moves) + first :]
-            steps = whole if self.problem.non_smooth else ALONG * axes(known[first:, first:])
+            steps = self._together if self.problem.non_smooth else ALONG * axes(known[first:, first:])
             slopes = self._with_changes(self._sampled(moves[:, first:], turns, steps))
             found = _Nuisances(self.fit, self.changes, self.values, slopes, self._at)
             grown = found.posterior[0].diagonal() / known.diagonal()
@@ -316,7 +299,7 @@ class _Nuisances:
         misfit = objective(cost, there, np.stack(means) / self._loose, fit.times, fit.weight)
         if not misfit[1] < misfit[0]:
             return self
-        rest = np.einsum("k,ckr->cr", at[:first] - self._at[:first], self.slopes[:, :first])
+        rest = np.einsum("k,ckr->cr", at[:first] - self._at[:first], self.slopes.by[:, :first])
         slopes = replace(
             fit.slopes,
             residual=there.flat[1] + rest,
@@ -326,23 +309,31 @@ class _Nuisances:
         best = replace(fit, slopes=slopes, finding=replace(fit.finding, z=z))
         return _Nuisances(best, self.changes, self.values, self.slopes, at).followed()
 
-    def _alone(self) -> FloatArray:
+    def _alone(self) -> _Slopes:
         """Slopes from small samples, and alone; where contacts jitter, of one sd, else to one side.
 
         They show which numbers are felt, and along what their samples should lie.
         """
         moves = np.zeros((len(self.fit.z), len(self.values)))
         turns = np.zeros((*self.fit.slopes.first.mean.shape, len(self.values)))
-        size, straight = 1.0 if self.problem.non_smooth else SMALL, not self.problem.touches
-        return self._with_changes(self._sampled(moves, turns, size * np.eye(len(self.values)), straight))
+        together = self.problem.non_smooth and self.values
+        steps = self._together if together else SMALL * np.eye(len(self.values))
+        return self._with_changes(self._sampled(moves, turns, steps, not self.problem.touches))
 
-    def _with_changes(self, slopes: FloatArray) -> FloatArray:
-        return np.concatenate((*(change.slope[:, None] for change in self.changes), slopes), axis=1)
+    @property
+    def _together(self) -> FloatArray:
+        """Steps of all numbers at once, each by its sd: every pair of samples shows every slope."""
+        return orthogonal_directions(len(self.values), len(self.values), self.problem.rng(14))
+
+    def _with_changes(self, slopes: _Slopes) -> _Slopes:
+        by = (*(change.slope[:, None] for change in self.changes), slopes.by)
+        error = (*(change.error for change in self.changes), *slopes.error)
+        return slopes._replace(by=np.concatenate(by, axis=1), error=np.array(error))
 
     def _sampled(
         self, moves: FloatArray, turns: FloatArray, steps: FloatArray, straight: bool = False
-    ) -> FloatArray:
-        """Slopes of the residuals (c, k, R) by the numbers of the model.
+    ) -> _Slopes:
+        """Slopes by the numbers of the model.
 
         Args:
             moves: Steps of z with a step of each, shape (d, k).
@@ -352,17 +343,25 @@ class _Nuisances:
         """
         fit, k = self.fit, len(self.values)
         if not k:
-            return np.zeros((len(fit.weight), 0, fit.slopes.residual.shape[1]))
+            shape = fit.slopes.residual.shape
+            return _Slopes(np.zeros((shape[0], 0, shape[1])), np.zeros(0), to_host(fit.slopes.curves))
         grows, at = np.array([value.grows for value in self.values]), self._at[len(self.changes) :]
         steps = steps if straight else np.concatenate((steps, -steps))
         steps = np.where(grows, np.maximum(steps, -at), steps)
         z = np.concatenate((fit.z + steps @ moves.T, at + steps), axis=1)
         first = fit.slopes.first.mean + np.einsum("pk,cxk->pcx", steps, turns)
-        residuals = self._cost.residuals(z, first if first.shape[2] else None)
-        middle, other = (0.0, fit.slopes.residual) if straight else (steps[k:], residuals.flat[k:])
-        change = np.tensordot(np.linalg.inv(steps[:k] - middle), residuals.flat[:k] - other, 1).swapaxes(0, 1)
+        residuals = self._cost.residuals(z, first if first.shape[2] else None).flat
+        minus, other = (0.0 * steps, fit.slopes.residual) if straight else (steps[k:], residuals[k:])
+        odd = np.linalg.inv(steps[:k] - minus)
+        change = np.tensordot(odd, residuals[:k] - other, 1)
+        even = residuals[:0]
+        if self.problem.non_smooth:  # the middle of a pair of what only grows is not where `fit` is
+            even = 0.5 * (residuals[:k] + other) - fit.slopes.residual
+            even -= np.tensordot(0.5 * (steps[:k] + minus), change, 1)
         gz, gx = np.split(fit.slopes.gain, [len(fit.z)], axis=1)
-        return change - np.einsum("dk,cdr->ckr", moves, gz) - np.einsum("cxk,cxr->ckr", turns, gx)
+        change = change.swapaxes(0, 1) - np.einsum("dk,cdr->ckr", moves, gz)
+        by = change - np.einsum("cxk,cxr->ckr", turns, gx)
+        return _Slopes(by, 2.0 * np.linalg.norm(odd, axis=1), even)
 
     @cached_property
     def _cost(self) -> MatchingCost:
@@ -372,17 +371,55 @@ class _Nuisances:
 
     def _posterior(self) -> tuple[tuple[FloatArray, FloatArray, FloatArray], Information, FloatArray]:
         """Covariance S (K, K), mean m (K,), how z follows r, A (d, K); joint information; and the step."""
-        slopes, d = self.fit.slopes, len(self.fit.z)
-        gz, gx = np.split(slopes.gain, [d], axis=1)
-        gain = np.concatenate((gz, self.slopes, self._loose[..., None] * gx), axis=1)
+        found = self._information(self.slopes.by)
+        moves, own, pull, step = self._given(found)
+        weight = np.eye(len(own))
+        if self.problem.non_smooth:
+            # the score errs by more than its slopes say, whose share of jitter is no slope
+            own, noise = self._resolved(own), self._noise(found, moves)
+            weight = own @ np.linalg.pinv(noise, rcond=RANK, hermitian=True)
+        known = sealed(np.linalg.inv(weight @ own + np.eye(len(own))))
+        further = -known @ (weight @ pull + self._at)
+        step = np.concatenate((step + moves @ further, further))
+        return (known, self._at + further, moves), found, step
+
+    def _information(self, columns: FloatArray) -> Information:
+        """Information on z and on nuisances with these slopes (c, k, R), first states fitted along."""
+        slopes, even = self.fit.slopes, self.slopes.even
+        gz, gx = np.split(slopes.gain, [len(self.fit.z)], axis=1)
+        gain = np.concatenate((gz, columns, self._loose[..., None] * gx), axis=1)
         first = replace(slopes.first, mean=slopes.first.mean / self._loose)
-        found = information(replace(slopes, gain=gain, first=first))
-        prior = np.eye(d + self.slopes.shape[1])
-        prior[:d, :d] = self.problem.system.space.loose_precision
-        away = np.concatenate((self.fit.z, self._at))
-        step, precision = gauss_newton_step(*found.summed(self.fit.weight), prior, away)
-        moves = -sealed(np.linalg.solve(precision[:d, :d], precision[:d, d:]))
-        return (sealed(np.linalg.inv(precision)[d:, d:]), self._at + step[d:], moves), found, step
+        curves = np.concatenate((even, -even))  # about none, and not about their mean
+        return information(replace(slopes, gain=gain, first=first, curves=curves))
+
+    def _given(self, found: Information) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """With z fitted: how it follows r, (d, K); information on r and score, (K, K) and (K,); step of z."""
+        prior, d = self.problem.system.space.loose_precision, len(self.fit.z)
+        matrix, score = found.summed(self.fit.weight)
+        score[:d] += prior @ self.fit.z
+        solved = np.linalg.solve(matrix[:d, :d] + prior, np.concatenate((matrix[:d, d:], score[:d, None]), 1))
+        moves, step = -sealed(solved[:, :-1]), -solved[:, -1]
+        return moves, matrix[d:, d:] + matrix[d:, :d] @ moves, score[d:] + moves.T @ score[:d], step
+
+    def _resolved(self, own: FloatArray) -> FloatArray:
+        """Information on r (K, K) less what jitter of its slopes adds: of an eigenvalue what exceeds it.
+
+        It is that of the even responses with z and first states fitted, as `own` is: these take over nearly
+        all of a slope, and of its jitter hardly any.
+        """
+        even, error = self.slopes.even, self.slopes.error
+        pair = np.trace(self._given(self._information(even.swapaxes(0, 1)))[1]) / len(even)
+        values, vectors = np.linalg.eigh(own / np.outer(error, error))
+        part = error[:, None] * vectors * np.sqrt(np.maximum(values - pair, 0.0))
+        resolved: FloatArray = part @ part.T
+        return resolved
+
+    def _noise(self, found: Information, moves: FloatArray) -> FloatArray:
+        """Covariance of the score of r with z fitted, (K, K); jitter counts by what it does to scores."""
+        noise, d = np.einsum("c,cij->ij", self.fit.weight, found.scatter), len(moves)
+        noise[:d, :d] += self.problem.system.space.loose_precision
+        with_z = np.concatenate((moves, np.eye(moves.shape[1])))
+        return with_z.T @ noise @ with_z
 
 
 def axes(covariance: FloatArray) -> FloatArray:

@@ -23,7 +23,7 @@ from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.uncertainty import assumed as module
-from amhe_cli.estimation.uncertainty.assumed import _against, allowed, assumed
+from amhe_cli.estimation.uncertainty.assumed import _against, assumed
 from amhe_cli.estimation.uncertainty.fit import FinalFit, final_fit
 from amhe_cli.estimation.uncertainty.ledger import Source, Term
 from amhe_cli.system.description.load import find_system
@@ -369,11 +369,6 @@ def test_what_a_finer_step_explains_is_no_delay(
 # -- contacts ------------------------------------------------------------------------------------------------
 
 
-def test_a_change_is_allowed_until_the_misfit_has_risen_by_nine() -> None:
-    assert [allowed(rise) for rise in (-5.0, 0.0, 9.0)] == [1.0, 1.0, 1.0]
-    assert allowed(36.0) == pytest.approx(0.5), "the misfit rises with the square of the change"
-
-
 def sliding(noise: float, executor: Executor | None = None) -> FinalFit:
     """A sliding cube's final fit at the truth, of a log with this noise [SI]."""
     system = System.load("cube_toss", {**CHEAP, "clips": {"count": 4, "length": [0.1, 0.2]}})
@@ -392,8 +387,8 @@ def test_numerical_choices_are_rows_of_one_sd_each(monkeypatch: pytest.MonkeyPat
     values: Iterator[float] = iter([4.0, 1.0, 0.5, 7.0])  # softer, harder, solved for longer, half the step
 
     def changed(fit: FinalFit, cost: Any) -> tuple[Any, float]:
-        move = np.full(2, next(values))
-        return module._Change(Source(""), move, move[None]), 0.0
+        move = next(values)
+        return module._Change(Source(""), np.full((1, 2), move), move), 0.0
 
     monkeypatch.setattr(module, "_changed", changed)
     rows = list(module._changes(sliding(1e-2)))
@@ -405,39 +400,38 @@ def test_numerical_choices_are_rows_of_one_sd_each(monkeypatch: pytest.MonkeyPat
     ]
     # half of a factor of two is one sd, and either side has half of the variance
     half = 0.5 / np.sqrt(2.0)
-    assert [change.z[0] for change in rows] == pytest.approx([half * 4.0, half * 1.0, 0.5, 2.0 * 7.0])
-    assert [change.slope[0, 0] for change in rows] == pytest.approx([change.z[0] for change in rows])
+    assert [change.slope[0, 0] for change in rows] == pytest.approx([half * 4.0, half * 1.0, 0.5, 2.0 * 7.0])
+    assert [change.error for change in rows] == pytest.approx([change.slope[0, 0] for change in rows])
     assert rows[0].source.times() == "1.41 times"
 
 
-def test_a_sharp_log_that_rules_other_contacts_out_allows_less_of_them() -> None:
-    """Of a blunt log, jitter decides which of the contacts explains it no worse."""
-    shares = []
-    for noise in (1e-4, 2e-2):
-        rows = [change for change in module._changes(sliding(noise)) if "contacts" in change.source.name]
-        shares.append(min(allowed(change.rise) for change in rows))
-        assert all(np.allclose(change.error, allowed(change.rise) * change.z) for change in rows)
-    assert shares[0] < 0.3 * shares[1]
+def known(fit: FinalFit, slopes: Any = None) -> tuple[np.ndarray, np.ndarray]:
+    """Sd and mean of each numerical choice that a fit's log leaves, in its own sd; of given slopes alike."""
+    changes = [module._Change(Source(""), by) for by in slopes.by.swapaxes(0, 1)] if slopes else None
+    changes = list(module._changes(fit)) if changes is None else changes
+    covariance, mean, _ = module._Nuisances(fit, changes, [], slopes).posterior
+    return np.sqrt(covariance.diagonal()), mean
 
 
-def test_a_move_that_a_draw_of_jitter_makes_does_not_count_again() -> None:
+def test_a_sharp_log_knows_how_soft_contacts_are() -> None:
+    sharp, blunt = (known(sliding(noise))[0][:2] for noise in (1e-4, 2e-2))
+    assert sharp.max() < 0.3 * blunt.min()
+
+
+def test_jitter_of_slopes_is_no_information() -> None:
+    """The square of slopes that jitter would fix any number; of one that they resolve a log knows as much."""
     rng, fit = np.random.default_rng(0), sliding(1e-2)
-    pairs, bend = (
-        rng.standard_normal((200, *fit.slopes.bend.shape)),
-        rng.uniform(0.5, 1.0, fit.slopes.bend.shape),
-    )
-    curves = np.sqrt(bend) * pairs
-    found, jagged = fit.information, replace(fit, slopes=replace(fit.slopes, curves=curves))
-    gz, gx = np.split(fit.slopes.gain, [len(fit.z)], axis=1)
-    slope = gz + found.nuisance_gain.transpose(0, 2, 1) @ gx
-    size = np.sqrt(bend * (1.0 / module.PAIRS + 1.0 / len(fit.slopes.pairs)))
-    jitter = size * rng.standard_normal((200, *bend.shape))
-    moves = np.einsum("cdr,ncr->nd", fit.weight[:, None, None] * slope, found.weight * jitter)
-    moves = -moves @ fit.posterior.inverse
-    kept = np.array([module._beyond_jitter(jagged, move) for move in moves])
-    assert np.mean(kept**2) < 0.6 * np.mean(moves**2)
-    large = 30.0 * moves[np.abs(moves[:, 0]).argmax()]
-    np.testing.assert_allclose(module._beyond_jitter(jagged, large), large, rtol=0.01)
+    shape = fit.slopes.residual.shape
+    even = rng.standard_normal((60, *shape))
+    error = np.array([1.0, 0.5, 0.5])
+    by = np.moveaxis(error[:, None, None] * rng.standard_normal((3, *shape)), 0, 1)
+    by[:, 2] += 5.0 * np.sign(rng.standard_normal(shape))
+    passed = known(fit, module._Slopes(by, error, 1e-9 * even))[0]
+    sd, mean = known(fit, module._Slopes(by, error, even))
+    assert passed.max() < 0.1, "as if they did not jitter"
+    assert sd[:2].min() > 0.7, mean
+    assert np.abs(mean[:2]).max() < 0.5
+    assert sd[2] < 2.0 * passed[2]
 
 
 @pytest.mark.medium
