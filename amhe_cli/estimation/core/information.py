@@ -186,15 +186,6 @@ def information(
     return replace(known, curvature=curvature, scatter=scatter)
 
 
-def of_jitter(slopes: Linearisation, known: Information) -> FloatArray:
-    """Covariance of each clip's score that the jitter of the mean of a pair makes, shape (c, d, d).
-
-    After a contact that begins a step sooner all residuals differ: what jitter does to a score is far more
-    than if it were white.
-    """
-    return _of_scores(_pull(slopes, known), _jitter(slopes))
-
-
 def _of_scores(pull: FloatArray, jitter: FloatArray) -> FloatArray:
     """Sum of the squares of the scores that each jitter (h, c, R) makes, shape (c, d, d)."""
     scores = pull @ jitter.transpose(1, 2, 0)
@@ -222,6 +213,7 @@ def _with_jitter(
 ) -> FloatArray:
     """Covariance of each clip's score where jitter counts by what it does to scores, shape (c, d, d).
 
+    After a contact that begins a step sooner all residuals differ: that is far more than if it were white.
     A log is one run, whose jitter has twice the variance of a pair's mean; its residuals are counted from the
     mean of h pairs, which jitters, too. Their squares, times their autocorrelation times, hold that variance
     already, and of how long it lasts what those times have beyond white noise. This is taken out, as far as

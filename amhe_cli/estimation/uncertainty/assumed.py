@@ -398,19 +398,21 @@ class _Nuisances:
         matrix, score = found.summed(self.fit.weight)
         score[:d] += prior @ self.fit.z
         solved = np.linalg.solve(matrix[:d, :d] + prior, np.concatenate((matrix[:d, d:], score[:d, None]), 1))
-        moves, step = -sealed(solved[:, :-1]), -solved[:, -1]
+        moves, step = sealed(-solved[:, :-1]), sealed(-solved[:, -1])
         return moves, matrix[d:, d:] + matrix[d:, :d] @ moves, score[d:] + moves.T @ score[:d], step
 
     def _resolved(self, own: FloatArray) -> FloatArray:
         """Information on r (K, K) less what jitter of its slopes adds: of an eigenvalue what exceeds it.
 
-        It is that of the even responses with z and first states fitted, as `own` is: these take over nearly
-        all of a slope, and of its jitter hardly any.
+        It is the largest that the even responses have, of as many pairs, with z and first states fitted as in
+        `own`: these take over nearly all of a slope, and of its jitter hardly any.
         """
         even, error = self.slopes.even, self.slopes.error
-        pair = np.trace(self._given(self._information(even.swapaxes(0, 1)))[1]) / len(even)
+        count = len(even)
+        about = (even - even.mean(axis=0)) * np.sqrt(count / (count - 1.0)) if count > 1 else even
+        jitter = np.linalg.eigvalsh(self._given(self._information(about.swapaxes(0, 1)))[1])[-1]
         values, vectors = np.linalg.eigh(own / np.outer(error, error))
-        part = error[:, None] * vectors * np.sqrt(np.maximum(values - pair, 0.0))
+        part = error[:, None] * vectors * np.sqrt(np.maximum(values - jitter, 0.0))
         resolved: FloatArray = part @ part.T
         return resolved
 
@@ -419,7 +421,8 @@ class _Nuisances:
         noise, d = np.einsum("c,cij->ij", self.fit.weight, found.scatter), len(moves)
         noise[:d, :d] += self.problem.system.space.loose_precision
         with_z = np.concatenate((moves, np.eye(moves.shape[1])))
-        return with_z.T @ noise @ with_z
+        covariance: FloatArray = with_z.T @ noise @ with_z
+        return covariance
 
 
 def axes(covariance: FloatArray) -> FloatArray:

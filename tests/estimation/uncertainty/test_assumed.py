@@ -428,10 +428,10 @@ def test_jitter_of_slopes_is_no_information() -> None:
     by[:, 2] += 5.0 * np.sign(rng.standard_normal(shape))
     passed = known(fit, module._Slopes(by, error, 1e-9 * even))[0]
     sd, mean = known(fit, module._Slopes(by, error, even))
-    assert passed.max() < 0.1, "as if they did not jitter"
-    assert sd[:2].min() > 0.7, mean
-    assert np.abs(mean[:2]).max() < 0.5
-    assert sd[2] < 2.0 * passed[2]
+    assert passed.max() < 0.2, "as if they did not jitter"
+    assert sd[:2].min() > 0.9
+    assert np.abs(mean[:2]).max() < 0.1
+    assert sd[2] < 3.0 * passed[2]
 
 
 @pytest.mark.medium
