@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from amhe_cli.audit.claims import Claim, Group, claims_of, doubts_of, zeros_of_commands
+from amhe_cli.audit.claims import Claim, Group, claims_of, doubts_of
 from amhe_cli.audit.judge import (
     ODDS,
     RATE,
@@ -48,9 +48,8 @@ from amhe_cli.estimation.core.result import Against, Identification, Iteration, 
 from amhe_cli.estimation.identification import IdentifyOptions, concluded, searched_for
 from amhe_cli.estimation.offline.problem import Ends, KnownNoise
 from amhe_cli.estimation.offline.watch import Watch
-from amhe_cli.estimation.uncertainty.misfit import SURPRISE, misfits, stalled
+from amhe_cli.estimation.uncertainty.misfit import stalled
 from amhe_cli.init.folder import Proposal
-from amhe_cli.init.signals import Guess
 from amhe_cli.system.system import System
 
 #: Clips of the searches where motions are matched, and their length [s]: many short ones, along which even
@@ -165,7 +164,7 @@ def audit(
     claims = claims_of(proposal, _assumed(settings))
     if not claims:
         raise ConfigError("the model says no number of a joint that the log measures")
-    logs, zeros, doing, done = list[Log](), list[Guess](), "", 0
+    logs, doing, done = list[Log](), "", 0
 
     def show(iteration: Iteration, total: int) -> None:
         nonlocal done
@@ -183,7 +182,7 @@ def audit(
         doing = "what else explains the logs" if noise else "what is far off" if length else "all numbers"
         guesses = [claim.guess(claim.group not in wide) for claim in claims]
         short = {"clips": {"length": [length, length]}} if length else {}
-        parameters = [*guesses, *doubts_of(proposal), *zeros]
+        parameters = [*guesses, *doubts_of(proposal)]
         system = replace(proposal, parameters=parameters).system(name, merged(settings, short))
         logs[:] = logs or read(system)
         enough = _NEAR if noise else enough
@@ -192,33 +191,17 @@ def audit(
             ends=ends, watch=watch,
         )  # fmt: skip
 
-    def begun() -> tuple[Explanation, Searched, list[Explanation]]:
-        search, wrong, again, seen = _searched(searched, claims, proposal.match)
-        first = Explanation(search, wrong, claims)
-        try:
-            first = first.further()
-        except KeyboardInterrupt:
-            watch.interrupt()
-        return first, again, seen
-
-    first, again, seen = begun()
-    if _missed(first) and not watch.cut_short and (more := zeros_of_commands(proposal)):
-        zeros[:] = more
-        other = begun()
-        if _missed(other[0]):
-            zeros.clear()
-        else:
-            first, again, seen = other
+    search, wrong, again, seen = _searched(searched, claims, proposal.match)
     look = again if proposal.match == "effort" else partial(searched, _LOOK, None, None)
+    first = Explanation(search, wrong, claims)
+    try:
+        first = first.further()
+    except KeyboardInterrupt:
+        watch.interrupt()
     found, judgement, at = _concluded(again, look, first, seen)
     system = at.search.problem.system
     lines = _lines(system, found, claims, judgement, logs)
     return Audit(tuple(lines), system, found, tuple(claims), proposal, judgement.unsearched)
-
-
-def _missed(one: Explanation) -> bool:
-    """Whether an explanation leaves more than noise."""
-    return any(scale > SURPRISE and not white for scale, white in misfits(one.search.fit).values())
 
 
 def _searched(

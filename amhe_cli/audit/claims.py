@@ -128,7 +128,7 @@ def claims_of(proposal: Proposal, settings: AssumedSettings) -> list[Claim]:
 
 
 def doubts_of(proposal: Proposal) -> list[Guess]:
-    """What no file claims, and logs depend on: zeros of sensors, commands' delay, what a system adds."""
+    """What no file claims, and logs depend on: zeros of sensors and commands, delay, what a system adds."""
     model, signals = compiled(proposal.spec), proposal.guesses
     if proposal.match == "effort":
         return [one for one in proposal.parameters if one.entry["targets"][0].get("set") == "bias"]
@@ -136,19 +136,9 @@ def doubts_of(proposal: Proposal) -> list[Guess]:
     found += delay(model.opt.timestep) if moved_by(signals) else []
     own = [one for one in proposal.parameters if one.entry["targets"][0].get("set") in IN_NO_FILE]
     taken = [target for one in own for target in one.entry["targets"]]
+    if not any(target["set"] in OF_SERVO for target in taken):  # firmware counts from its encoder's zero
+        found += command_zeros(model, signals)
     return [one for one in found if one.entry["targets"][0] not in taken] + own
-
-
-def zeros_of_commands(proposal: Proposal) -> list[Guess]:
-    """Those of servos beside their encoders' zeros; a firmware that is modelled counts from these.
-
-    They are tried where other values leave more than noise: a stiff servo and an offset look like a soft one.
-    """
-    taken = [target for one in proposal.parameters for target in one.entry["targets"]]
-    if proposal.match == "effort" or any(target["set"] in OF_SERVO for target in taken):
-        return []
-    found = command_zeros(compiled(proposal.spec), proposal.guesses)
-    return [one for one in found if one.entry["targets"][0] not in taken]
 
 
 def sheet_of(number: ModelNumber, model: mujoco.MjModel, settings: AssumedSettings) -> float:

@@ -49,8 +49,9 @@ _LONGEST_DELAY = 0.1
 _ZERO_OF_HINGE = (0.05, 0.3)
 #: Prior sd and largest zero of the encoder of a slide [m].
 _ZERO_OF_SLIDE = (0.005, 0.03)
-#: The same of the zero that a servo's command has beside its encoder's: firmware mostly counts from one.
-_COMMAND_OF_HINGE, _COMMAND_OF_SLIDE = (0.01, 0.1), (0.001, 0.01)
+#: The same of the zero that a servo's command has beside its encoder's: firmware mostly counts from one, to a
+#: few of its encoder's steps. With 10 mrad it passed for the sag of servos that are softer than their file.
+_COMMAND_OF_HINGE, _COMMAND_OF_SLIDE = (0.003, 0.1), (0.0003, 0.01)
 #: Width of a hinge's gap before a log is read, and its bounds [rad].
 _GAP_OF_HINGE = (0.01, 0.0002, 0.1)
 #: Width of a slide's gap before a log is read, and its bounds [m].
