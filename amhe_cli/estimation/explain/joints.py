@@ -133,8 +133,11 @@ def _servo(maker: CauseMaker, j: MeasuredDof) -> tuple[str, str, float] | None:
     """Signal and name of the position servo that holds a joint by commands, and its stiffness there."""
     model, place = maker.model, controls(maker.model, maker.system.input_spec)
     firmware = maker.system.edits.servos
-    for source in maker.system.inputs if place else ():
-        for row in np.flatnonzero(np.isin(model.actuator_ctrladr, np.array(source.columns) - place.start)):
+    if place is None:
+        return None
+    for source in maker.system.inputs:
+        rows = np.isin(model.actuator_ctrladr, np.array(source.columns) - place.start)
+        for row in np.flatnonzero(rows).tolist():
             taken = firmware is not None and row in firmware.rows
             if source.delayed and driven_joint(model, row) == j.name and holds_position(model, row):
                 gear = float(model.actuator_gear[row, 0])
