@@ -397,6 +397,6 @@ def test_real_tosses_tell_friction_and_not_mass():
     assert found["mass"].verdict == "prior"
     inertia = found["inertia_scale"]
     assert inertia.verdict in ("weak", "model-sensitive"), "published as 1: the model is wrong"
-    assert "disagree" in inertia.reasons[0].text, "its logs contradict each other"
+    assert inertia.reasons[0].kind in ("parts", "repeats"), "its logs contradict each other, or the model"
     assert result.held_out is not None
     assert result.held_out.position_error_m < 0.010 < result.held_out.initial_position_error_m

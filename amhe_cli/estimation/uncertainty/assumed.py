@@ -270,14 +270,15 @@ class _Nuisances:
         Two gains and the masses have a common factor of which no log knows anything, and of each of them
         alone a log may know a thousandth of what its data sheet leaves open. So samples follow the axes of
         their posterior, by a part of its width, and z and the first states follow them; again, until it
-        gets no wider. Where contacts jitter, all numbers are moved at once, each by its sd.
+        gets no wider. Where contacts jitter, all are moved at once, and once, by all of its width.
         """
         found, first = self, len(self.changes)
         for _ in range(TURNS):
             known, _, moves = found.posterior
             gain = self._loose[..., None] * found._found.nuisance_gain
             turns = gain[..., : len(moves)] @ moves[:, first:] + gain[..., len(moves) + first :]
-            steps = self._together if self.problem.non_smooth else ALONG * axes(known[first:, first:])
+            width = axes(known[first:, first:])
+            steps = self._together @ width if self.problem.non_smooth else ALONG * width
             slopes = self._with_changes(self._sampled(moves[:, first:], turns, steps))
             found = _Nuisances(self.fit, self.changes, self.values, slopes, self._at)
             grown = found.posterior[0].diagonal() / known.diagonal()
