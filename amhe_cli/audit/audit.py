@@ -299,10 +299,8 @@ def _concluded(
             judgement = _judgement(found, first, others, decided)
     except KeyboardInterrupt:
         watch.interrupt()
-        found, judgement = (
-            replace(found, interrupted=watch.interrupted),
-            _judgement(found, first, others, decided),
-        )
+        found = replace(found, interrupted=watch.interrupted)
+        judgement = _judgement(found, first, others, decided)
     if watch.cut_short:
         left = judgement.doubtful(first.claims, tested)
         text = f"what else explains the logs was not searched for to the end ({watch.cause})"
@@ -384,10 +382,8 @@ def _lines(
     doubtful = contradicted(chances(logged.t))  # something else may be wrong in its place
     known = (logged.sd <= sheet) & ~doubtful & (not unjudged)
     unsure = judgement.unsure(claims, wrong, known, sheet)
-    verdicts, later = (
-        verdicts_of(wrong & ~unsure, known & ~unsure),
-        np.where(unsure, judgement.unsearched, ""),
-    )
+    verdicts = verdicts_of(wrong & ~unsure, known & ~unsure)
+    later = np.where(unsure, judgement.unsearched, "")
     weight = _weights(system, found, claims, wrong, logs)
     lines = [
         Line(

@@ -11,7 +11,7 @@ says what each number adds.
 
 Where contacts jitter, so do the slopes by r: what z and first states cannot take over of their jitter would
 be information on r. The even response to the samples shows how much it is, and this much is taken out of each
-direction of r: of what is not resolved beyond it the log says nothing, and the whole sd counts.
+direction of r: what is not resolved beyond it is left open by the log, and its whole sd counts.
 """
 
 from __future__ import annotations
@@ -323,7 +323,7 @@ class _Nuisances:
 
     @property
     def _together(self) -> FloatArray:
-        """Steps of all numbers at once, each by its sd: every pair of samples shows every slope."""
+        """Steps of all numbers at once: every pair of samples shows every slope."""
         return orthogonal_directions(len(self.values), len(self.values), self.problem.rng(14))
 
     def _with_changes(self, slopes: _Slopes) -> _Slopes:
