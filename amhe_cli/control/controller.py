@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -86,6 +86,7 @@ class Plan:
         step: Statistics of the sampling; None for a plan that was not sampled.
         candidates: States qpos that some sampled plans would lead to, for pictures, shape (k, H, nq).
         expected: The state at the start, as the planner's model predicts it; None: nobody did.
+        belief: Parameters under which it was made, by name.
     """
 
     start: float
@@ -96,6 +97,7 @@ class Plan:
     step: MpopiStep | None = None
     candidates: FloatArray | None = None
     expected: Any = None
+    belief: Mapping[str, float] = field(default_factory=dict)
 
     def at(self, time: float) -> FloatArray:
         """Joint targets (n,) in force at a time [s]; the last row is held."""
@@ -113,6 +115,8 @@ class Controller:
         names: Names of the parameters theta, in the engine's order.
         rng: Source of all samples.
         pace: Divides the time before a deadline; of this controller alone.
+        corrected: Makes the parameters to plan under from the state, the last plan and the belief, by what
+            is seen before an estimate shows it; None: nothing is corrected.
     """
 
     def __init__(
@@ -124,8 +128,10 @@ class Controller:
         names: Sequence[str],
         rng: np.random.Generator,
         pace: RolloutPace | None = None,
+        corrected: Callable[[Any, Plan | None, Mapping[str, float]], Mapping[str, float]] | None = None,
     ) -> None:
-        self._pace = pace or RolloutPace()
+        self._pace, self._corrected = pace or RolloutPace(), corrected
+        self._last: Plan | None = None
         self._behaviour, self._robot, self._engine = behaviour, robot, engine
         self._settings, self._names = settings, names
         self._sampler = Mpopi(settings, robot.sigma, behaviour.channel_sigma, rng)
@@ -144,6 +150,8 @@ class Controller:
             deadline: When the plan is due, by time.monotonic() [s]: samples for which there is no time are
                 left out, the least worthy first. None: no sample is left out.
         """
+        if self._corrected:
+            belief = self._corrected(state, self._last, belief)
         period = self._settings.period
         theta = np.array([belief[name] for name in self._names])
         start, qpos, qvel = self._predicted(state, in_force, theta)
@@ -169,7 +177,9 @@ class Controller:
             targets = self._targets(move, times, step.mean[None])[0]
         command = move.command + self._sampler.split(step.mean)[1]
         self._pace.planned()
-        return Plan(start.time, period, targets, move.reference, command, step, sampled[-1][1], start)
+        made, at = sampled[-1][1], start.time
+        self._last = Plan(at, period, targets, move.reference, command, step, made, start, belief)
+        return self._last
 
     def _predicted(
         self, state: Any, in_force: FloatArray, theta: FloatArray

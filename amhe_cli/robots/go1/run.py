@@ -35,6 +35,7 @@ from amhe_cli.live.episode import AdaptiveBelief, BeliefSource, Episode, FixedBe
 from amhe_cli.live.recorder import Recorder
 from amhe_cli.live.target import SimTarget, Target
 from amhe_cli.robots.go1.behaviours.gait import Gait
+from amhe_cli.robots.go1.behaviours.walking import Resistance
 from amhe_cli.robots.go1.judge import Judge
 from amhe_cli.robots.go1.kinematics import HOME, KINDS, SERVOS
 from amhe_cli.robots.go1.model import KD, KP, SYSTEM, Box, home, layout, planner_model
@@ -250,7 +251,7 @@ def run_on(
 ) -> Run:
     """A run of a task on a target; arguments as of `Run`, `controller_for` and `belief_source`."""
     behaviour = task.behaviour(gait_of(system))
-    controller = controller_for(task, behaviour, system, samples, threads, options.engine)
+    controller = controller_for(options, task, behaviour, system, samples, threads)
     judge = Judge(task, behaviour.running_cost, settings_of(system).control.period, options.duration)
     belief = belief_source(options, task, system, plant, slow)
     observe = StateEstimator(behaviour.standing).update
@@ -282,24 +283,25 @@ def as_measured(task: Task, system: System) -> Task:
 
 
 def controller_for(
+    options: RunOptions,
     task: Task,
     behaviour: Behaviour,
     system: System,
     samples: np.random.Generator,
-    threads: int = 1,
-    kind: str = "cpu",
+    threads: int,
 ) -> Controller:
     """The controller of a task, with the planner's model of its box."""
     settings = settings_of(system).control
     planner = planner_model(task.box, timestep=settings.period / settings.substeps)
     fast = without_dry_friction(system)
-    engine = open_engine(fast, threads=threads, kind=kind, model=planner, sensors=False)
+    engine = open_engine(fast, threads=threads, kind=options.engine, model=planner, sensors=False)
     robot = Go1(layout(planner), settings.joint_sigma)
     # its simulations are made now: the first plan at a robot would take twice the time of the others
     n, inputs = settings.samples, np.zeros((settings.samples, 1, planner.nu))
     theta = np.tile(system.space.nominal, (n, 1))
     engine.rollout(theta, planner.qpos0, np.zeros(planner.nv), inputs, np.ones(n, dtype=np.int64))
-    return Controller(behaviour, robot, engine, settings, system.space.names, samples)
+    reflex = Resistance() if options.mode == "adaptive" and task.pushes and settings.reflex else None
+    return Controller(behaviour, robot, engine, settings, system.space.names, samples, corrected=reflex)
 
 
 def task_and_system(options: RunOptions, task: Task | None = None) -> tuple[Task, System]:

@@ -143,6 +143,8 @@ class Go1ControlSettings(ControlSettings):
     """Noise of the thighs' knots [rad]."""
     sigma_calf: Positive = 0.012
     """Noise of the calves' knots [rad]."""
+    reflex: bool = True
+    """Adaptive: correct the belief by the trunk's speed before a window shows a change."""
 
     @property
     def joint_sigma(self) -> FloatArray:

@@ -7,14 +7,16 @@ slides to a corner; where it has lost the face, it backs off, comes in line agai
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from math import hypot
+from math import cos, exp, hypot, log, sin, sqrt
 
 import numpy as np
 
+from amhe_cli.control.controller import Plan
 from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
-from amhe_cli.robots.go1.behaviours.gait import Gait, box_friction, contacts, switches, walk
+from amhe_cli.robots.go1.behaviours.gait import WEIGHT, Gait, box_friction, contacts, switches, walk
 from amhe_cli.robots.go1.behaviours.objective import (
     Course,
     Place,
@@ -25,8 +27,10 @@ from amhe_cli.robots.go1.behaviours.objective import (
     push_terms,
     wrapped,
 )
-from amhe_cli.robots.go1.state import Body, State, heading_velocity
+from amhe_cli.robots.go1.state import GRAVITY, Body, State, heading_velocity
 
+#: Where the planner's model has the place of the trunk over the floor.
+TRUNK = slice(7, 9)
 #: Longest time that one cycle integrates over, after a pause too [s].
 _LONGEST = 0.05
 
@@ -93,6 +97,69 @@ class Insisting:
         passed, self._time = min(max(time - self._time, 0.0), _LONGEST), time
         more = passed * (self.gain if reached < self.least * speed else -self.gain)
         self.share = min(max(self.share + more, 0.0), self.limit)
+
+
+@dataclass(slots=True, eq=False)
+class Resistance:
+    """Corrects the believed friction as soon as the trunk is slower, or faster, than plans expected.
+
+    A plan expects a speed of the trunk some time ahead. The momentum that is missing then is that of a force
+    that the belief lacks, beside the force it had meanwhile. Either the belief holds, and the rest is noise;
+    or box or floor is another one, and the force may be any. The belief is corrected by the missing force
+    times the probability of the latter (Bayes). A window of the estimator shows it two tenths of a second
+    later, and ends the correction.
+
+    Args:
+        lead: How far ahead speeds are compared [s].
+        least: Least speed that plans expect [m/s]: a box that stands resists by as much as it is pushed.
+        noise: Sd of the speed from what was expected under the right belief [m/s].
+        spread: Sd of the missing force under a wrong one [N]; twice as much is added at most.
+        rate: How often box or floor change [1/s].
+        lasting: What is left after `lead` of the probability that the belief is wrong.
+        mass: Mass of the robot [kg].
+        wrong: That probability; 1 of a box that was never touched.
+    """
+
+    lead: float = 0.12
+    least: float = 0.1
+    noise: float = 0.03
+    spread: float = 20.0
+    rate: float = 0.1
+    lasting: float = 0.5
+    mass: float = WEIGHT / GRAVITY
+    wrong: float = 1.0
+    _plans: deque[tuple[float, float, float, float]] = field(default_factory=deque)
+
+    def __call__(self, state: State, last: Plan | None, belief: Mapping[str, float]) -> dict[str, float]:
+        """The belief to plan under, by the newest estimate: mass and friction share the correction."""
+        plans, believed = self._plans, box_friction(belief)
+        force = believed
+        if last and last.reference.pushing == 1.0 and last.candidates is not None and last.step:
+            row = (
+                round(self.lead / last.period) - 2
+            )  # a plan begins one period late, its rows end their periods
+            weights = last.step.weights[: len(last.candidates)]
+            moved = np.diff(last.candidates[:, row - 1 : row + 1, TRUNK], axis=1)[:, 0]
+            ahead, left = weights @ moved / (max(weights.sum(), 1e-9) * last.period)
+            speed = float(cos(state.trunk.yaw) * ahead + sin(state.trunk.yaw) * left)
+            plans.append((last.start - last.period + self.lead, speed, box_friction(last.belief), self.wrong))
+            while plans[0][0] < state.time - 0.5 * last.period:
+                plans.popleft()
+            _, speed, _, before = plans[0]
+            if plans[0][0] < state.time + 0.5 * last.period and speed > self.least:
+                gain = (self.mass + belief["box_mass"]) / self.lead
+                slower = speed - heading_velocity(state.trunk)[0]
+                missing = sum(pushed for *_, pushed, _ in plans) / len(plans) + gain * slower - believed
+                self.wrong = self._posterior(before, missing, gain * self.noise)
+                force = max(believed + self.wrong * min(missing, 2.0 * self.spread), 0.2 * believed)
+        share = sqrt(force / believed)
+        return {**belief, **{name: belief[name] * share for name in ("box_mass", "floor_friction")}}
+
+    def _posterior(self, before: float, missing: float, sd: float) -> float:
+        """Probability that the belief is wrong, after a missing force [N] with that sd."""
+        prior, either = min(self.rate * self.lead + self.lasting * before, 0.99), sd**2 + self.spread**2
+        odds = log(prior / (1.0 - prior)) + 0.5 * (missing**2 * (sd**-2 - 1.0 / either) - log(either / sd**2))
+        return 1.0 / (1.0 + exp(-min(odds, 50.0)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,14 +10,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from amhe_cli.control.controller import Plan
+from amhe_cli.control.mpopi import MpopiStep
 from amhe_cli.core import rotations
 from amhe_cli.core.rotations import yaw_of
-from amhe_cli.robots.go1.behaviours.gait import Gait, neutral_feet, walk
+from amhe_cli.robots.go1.behaviours.gait import Gait, box_friction, neutral_feet, walk
 from amhe_cli.robots.go1.behaviours.objective import BUMPER, Course, Reference, wrapped
 from amhe_cli.robots.go1.behaviours.walking import (
+    TRUNK,
     Helm,
     Insisting,
     Pacing,
+    Resistance,
     Retreat,
     Steering,
     Stepping,
@@ -25,7 +29,7 @@ from amhe_cli.robots.go1.behaviours.walking import (
 )
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.model import Box, home, layout, plant_model
-from amhe_cli.robots.go1.state import Body, State
+from amhe_cli.robots.go1.state import GRAVITY, Body, State
 
 FEW = settings(max_examples=25, deadline=None)
 
@@ -295,6 +299,64 @@ def test_a_box_that_stands_is_pushed_although_its_face_seems_to_be_farther(speed
 
 
 PERIOD = 0.02
+
+
+def resisted(
+    resistance: Resistance,
+    believed: float,
+    true: float,
+    pushing: float = 1.0,
+    noise: float = 0.0,
+    knows: int = 999,
+) -> list[float]:
+    """Forces [N] of the next plans' beliefs, while a box of 4 kg resists otherwise than believed.
+
+    Plans expect that the speed stays. From cycle `knows` on the estimator knows the truth.
+    """
+    rng, speed, forces, last = np.random.default_rng(0), 0.2, [], None
+    belief = {"box_mass": 4.0, "floor_friction": believed / 4.0 / GRAVITY}
+    for cycle in range(300):
+        now = behind(0.0, 0.0, 0.0)
+        seen = np.array([speed + noise * rng.standard_normal(), 0.0, 0.0])
+        state = replace(now, time=cycle * PERIOD, trunk=replace(now.trunk, velocity=seen))
+        newest = belief if cycle < knows else belief | {"floor_friction": true / 4.0 / GRAVITY}
+        used = resistance(state, last, newest)
+        places = np.zeros((1, 16, 9))
+        places[0, :, TRUNK.start] = speed * PERIOD * np.arange(16)
+        aim = Reference(0.0, 0.0, np.zeros(2), 0.0, 0.0, 0.0, pushing=pushing)
+        step = MpopiStep(np.zeros(1), np.ones(1), 1, 0, 1.0, 0.0, 0.0, {})
+        targets = np.zeros((16, 12))
+        last = Plan(state.time + PERIOD, PERIOD, targets, aim, None, step, places, belief=used)
+        forces.append(box_friction(used))
+        speed += PERIOD * (forces[-1] - true) / (resistance.mass + 4.0) * pushing
+    return forces
+
+
+@pytest.mark.parametrize(("believed", "true"), [(8.0, 24.0), (24.0, 8.0)])
+def test_a_box_that_resists_otherwise_than_believed_is_noticed_in_a_fifth_of_a_second(
+    believed: float, true: float
+) -> None:
+    forces = resisted(Resistance(), believed, true)
+    assert forces[5] == pytest.approx(believed), "nothing is compared yet"
+    assert forces[10] == pytest.approx(true, abs=4.0)
+
+
+def test_a_box_that_was_pushed_for_long_must_differ_by_more() -> None:
+    first, later = (resisted(Resistance(wrong=wrong), 8.0, 17.0)[7] for wrong in (1.0, 0.0))
+    assert first > 11.0
+    assert later < first - 2.0
+
+
+def test_a_speed_as_expected_changes_no_belief() -> None:
+    assert resisted(Resistance(), 8.0, 24.0, pushing=0.0) == pytest.approx([8.0] * 300), "nothing is touched"
+    noisy = resisted(Resistance(), 8.0, 8.0, noise=0.02)
+    assert np.std(noisy[60:]) < 0.5, "the noise alone is 2.8 N"
+
+
+def test_the_correction_ends_when_the_estimator_knows() -> None:
+    forces = resisted(Resistance(), 8.0, 24.0, knows=15)
+    assert max(forces) < 32.0, "estimate and correction do not add up"
+    assert forces[-1] == pytest.approx(24.0, rel=0.02)
 
 
 def paced(pacing: Pacing, efficiency: float, seconds: float, pulse: float = 0.0, start: float = 0.0) -> float:
