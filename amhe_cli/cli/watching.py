@@ -33,7 +33,6 @@ def watching_run(session: Session, run: Run) -> Iterator[Callable[[Cycle, dict[s
 
     from amhe_cli.core.shown import TimeCurve
     from amhe_cli.robots.go1.model import layout
-    from amhe_cli.robots.go1.state import coordinates
     from amhe_cli.view.live import Happening, StatesShown
     from amhe_cli.view.page import Heading
     from amhe_cli.view.scene import scene_of
@@ -60,7 +59,7 @@ def watching_run(session: Session, run: Run) -> Iterator[Callable[[Cycle, dict[s
         numbers |= {"speed": (row["speed"],), "cycle time": (cycle.plan_ms,)}
         numbers |= {"cost": (step.best,)} if step else {}
         true = cycle.truth
-        states = [coordinates(at, state)[0] for state in (true or cycle.estimate, cycle.estimate)]
+        states = [at.coordinates(state)[0] for state in (true or cycle.estimate, cycle.estimate)]
         jumped = any(getattr(news, "mark", "") == "jump" for news in cycle.news)
         forces = run.plant.contacts if run.plant else None
         sampled = cycle.plan.candidates

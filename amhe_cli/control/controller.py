@@ -111,6 +111,7 @@ class Controller:
     Args:
         behaviour: How the task moves the robot.
         robot: The robot as the planner's model has it.
+        sigma: Start sd of the sampling noise on each joint's knots [rad], shape (n,).
         engine: Rollouts of the planner's model.
         names: Names of the parameters theta, in the engine's order.
         rng: Source of all samples.
@@ -123,6 +124,7 @@ class Controller:
         self,
         behaviour: Behaviour,
         robot: Robot,
+        sigma: FloatArray,
         engine: Engine,
         settings: ControlSettings,
         names: Sequence[str],
@@ -134,7 +136,7 @@ class Controller:
         self._last: Plan | None = None
         self._behaviour, self._robot, self._engine = behaviour, robot, engine
         self._settings, self._names = settings, names
-        self._sampler = Mpopi(settings, robot.sigma, behaviour.channel_sigma, rng)
+        self._sampler = Mpopi(settings, sigma, behaviour.channel_sigma, rng)
         self._steps = settings.period * np.arange(settings.horizon, dtype=np.float64)
         self._basis = spline_basis(np.linspace(0.0, 1.0, settings.horizon), settings.knots)
 

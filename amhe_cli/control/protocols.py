@@ -26,11 +26,6 @@ class Robot(Protocol):
         ...
 
     @property
-    def sigma(self) -> FloatArray:
-        """Start sd of the sampling noise on each joint's knots [rad], shape (n,)."""
-        ...
-
-    @property
     def servos(self) -> IntArray:
         """Columns of the engine's input vector that hold the joint targets, shape (n,)."""
         ...

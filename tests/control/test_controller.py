@@ -35,7 +35,7 @@ class Pose:
 class Cart:
     """A robot of its own kind; the servo of its second joint comes first in the engine's input."""
 
-    lower, upper, sigma = LOWER, UPPER, np.full(2, 0.01)
+    lower, upper = LOWER, UPPER
     servos = np.array([1, 0])
 
     def coordinates(self, state: Pose) -> tuple[FloatArray, FloatArray]:
@@ -133,7 +133,8 @@ def controller(
     behaviour: Behaviour, engine: Any, pace: RolloutPace | None = None, **changes: object
 ) -> Controller:
     settings = SETTINGS.model_copy(update=changes)
-    return Controller(behaviour, Cart(), engine, settings, NAMES, np.random.default_rng(0), pace)
+    sigma, rng = np.full(2, 0.01), np.random.default_rng(0)
+    return Controller(behaviour, Cart(), sigma, engine, settings, NAMES, rng, pace)
 
 
 def planned(by: Controller) -> Plan:

@@ -31,6 +31,7 @@ from amhe_cli.robots.go1.kinematics import (
     TORQUE_LIMIT,
     UPPER,
 )
+from amhe_cli.robots.go1.state import Layout
 from amhe_cli.system.description.folders import find_system
 from amhe_cli.system.model.files import compiled, read_spec, resize
 
@@ -75,32 +76,13 @@ class Box:
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ModelLayout:
-    """Addresses of robot and box in a model's state; joints in our order, whatever the robot file's.
-
-    Args:
-        trunk: Slice of qpos, 7 numbers; the slice of qvel, 6 numbers, is `trunk_v`.
-        box: The same two slices of the box, `box` and `box_v`.
-        joints: Indices into qpos, shape (12,); those into qvel are `joints_v`, those into ctrl `servos`.
-    """
-
-    trunk: slice
-    trunk_v: slice
-    box: slice
-    box_v: slice
-    joints: np.ndarray
-    joints_v: np.ndarray
-    servos: np.ndarray
-
-
-def layout(model: mujoco.MjModel) -> ModelLayout:
-    """Addresses in the state of a model that this module built."""
+def layout(model: mujoco.MjModel) -> Layout:
+    """Where robot and box are in a model that this module built."""
     q, v = model.jnt_qposadr, model.jnt_dofadr
     trunk, box = model.joint("trunk").id, model.joint("box").id
     rows = [model.joint(name).id for name in JOINTS]
     servos = np.array([model.actuator(name).id for name in SERVOS])
-    return ModelLayout(
+    return Layout(
         slice(q[trunk], q[trunk] + 7), slice(v[trunk], v[trunk] + 6),
         slice(q[box], q[box] + 7), slice(v[box], v[box] + 6),
         q[rows], v[rows], servos,

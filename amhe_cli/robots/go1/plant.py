@@ -22,7 +22,7 @@ from amhe_cli.core.log import Samples
 from amhe_cli.engine.states import contact_forces
 from amhe_cli.robots.go1.kinematics import LEGS
 from amhe_cli.robots.go1.model import FLOOR_PAIR, Box, Change, home, layout, plant_model
-from amhe_cli.robots.go1.state import GRAVITY, SensorNoise, State, state_of
+from amhe_cli.robots.go1.state import GRAVITY, SensorNoise, State
 
 #: A value of each kind of joint: hip, thigh and calf.
 Kinds = tuple[float, float, float]
@@ -201,7 +201,7 @@ class Plant:
     @property
     def state(self) -> State:
         """The true state: for evaluation and logs, not for the controller."""
-        return state_of(self._at, self.time, self._data.qpos, self._data.qvel)
+        return self._at.state_of(self.time, self._data.qpos, self._data.qvel)
 
     @property
     def qpos(self) -> FloatArray:

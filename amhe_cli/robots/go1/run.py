@@ -41,7 +41,7 @@ from amhe_cli.robots.go1.kinematics import HOME, KINDS, SERVOS
 from amhe_cli.robots.go1.model import KD, KP, SYSTEM, Box, home, layout, planner_model
 from amhe_cli.robots.go1.plant import Plant, find_plant, shaped_plant
 from amhe_cli.robots.go1.settings import PushSettings, settings_of
-from amhe_cli.robots.go1.state import GRAVITY, Go1, State
+from amhe_cli.robots.go1.state import GRAVITY, State
 from amhe_cli.robots.go1.state_estimator import StateEstimator
 from amhe_cli.robots.go1.tasks import LONGEST, Task, find_task
 from amhe_cli.system.provenance import attachments
@@ -295,13 +295,15 @@ def controller_for(
     planner = planner_model(task.box, timestep=settings.period / settings.substeps)
     fast = without_dry_friction(system)
     engine = open_engine(fast, threads=threads, kind=options.engine, model=planner, sensors=False)
-    robot = Go1(layout(planner), settings.joint_sigma)
     # its simulations are made now: the first plan at a robot would take twice the time of the others
     n, inputs = settings.samples, np.zeros((settings.samples, 1, planner.nu))
     theta = np.tile(system.space.nominal, (n, 1))
     engine.rollout(theta, planner.qpos0, np.zeros(planner.nv), inputs, np.ones(n, dtype=np.int64))
     reflex = Resistance() if options.mode == "adaptive" and task.pushes and settings.reflex else None
-    return Controller(behaviour, robot, engine, settings, system.space.names, samples, corrected=reflex)
+    return Controller(
+        behaviour, layout(planner), settings.joint_sigma, engine, settings, system.space.names, samples,
+        corrected=reflex,
+    )  # fmt: skip
 
 
 def task_and_system(options: RunOptions, task: Task | None = None) -> tuple[Task, System]:

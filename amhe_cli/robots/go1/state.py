@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, IntArray
-from amhe_cli.core.rotations import yaw_of
+from amhe_cli.core.rotations import exp, multiply, yaw_of
 from amhe_cli.robots.go1.kinematics import LOWER, UPPER
-from amhe_cli.robots.go1.model import ModelLayout
 
 #: Gravity in the models, and in all that is computed by hand [m/s^2].
 GRAVITY = 9.81
@@ -74,6 +73,52 @@ class Body:
         return np.cos(self.yaw), np.sin(self.yaw)
 
 
+def wrapped(angle: Any) -> Any:
+    """The same angle in [-pi, pi): of an array (...), or of a plain number."""
+    return (angle + np.pi) % (2.0 * np.pi) - np.pi
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plane:
+    """Origin and heading of a frame whose z is the world's.
+
+    Args:
+        origin: Origin of the frame in the world [m], shape (2,).
+        yaw: Heading of its x axis [rad].
+    """
+
+    origin: FloatArray
+    yaw: float
+
+    @staticmethod
+    def under(body: Body) -> Plane:
+        """The frame that a body stands in."""
+        return Plane(np.array(body.position[:2]), body.yaw)
+
+    def place(self, point: FloatArray) -> FloatArray:
+        """A point of the world (3,) in this frame [m], shape (3,)."""
+        d, c, s = point[:2] - self.origin, np.cos(self.yaw), np.sin(self.yaw)
+        return np.array([c * d[0] + s * d[1], c * d[1] - s * d[0], point[2]])
+
+    def seen(self, position: FloatArray, orientation: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """A pose of the world, position (3,) [m] and unit quaternion (4,), in this frame."""
+        return self.place(position), multiply(exp(np.array([0.0, 0.0, -self.yaw])), orientation)
+
+    def turn(self, body: Body) -> float:
+        """Heading of a body in this frame [rad]."""
+        return wrapped(body.yaw - self.yaw)
+
+    def pose(self, body: Body) -> FloatArray:
+        """Place ahead and left [m] and heading [rad] of a body in this frame, shape (3,)."""
+        return np.array([*self.place(body.position)[:2], self.turn(body)])
+
+    def in_world(self, pose: FloatArray) -> FloatArray:
+        """The inverse of `pose`: place [m] and heading [rad] in the world, shape (3,)."""
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        x, y = self.origin[0] + c * pose[0] - s * pose[1], self.origin[1] + s * pose[0] + c * pose[1]
+        return np.array([x, y, self.yaw + pose[2]])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class State:
     """Robot and box at one instant.
@@ -98,58 +143,45 @@ def heading_velocity(body: Body) -> tuple[float, float]:
     return x * c + y * s, y * c - x * s
 
 
-def state_of(at: ModelLayout, time: float, qpos: FloatArray, qvel: FloatArray) -> State:
-    """The state of a model that lies at `at`: copies, whatever happens to the model's own arrays."""
-    qpos, qvel = np.array(qpos), np.array(qvel)
-    return State(time, *bodies(at, qpos, qvel), qpos[at.joints], qvel[at.joints_v])
-
-
-def bodies(at: ModelLayout, qpos: FloatArray, qvel: FloatArray) -> tuple[Body, Body]:
-    """Trunk and box of coordinates (..., nq) and velocities (..., nv), as views of them."""
-    pairs = ((qpos[..., at.trunk], qvel[..., at.trunk_v]), (qpos[..., at.box], qvel[..., at.box_v]))
-    trunk, box = (Body(q[..., :3], q[..., 3:], v[..., :3], v[..., 3:]) for q, v in pairs)
-    return trunk, box
-
-
-def coordinates(at: ModelLayout, state: State) -> tuple[FloatArray, FloatArray]:
-    """The inverse: qpos (26,) and qvel (24,) of a model of robot and box alone."""
-    qpos, qvel = np.empty(26), np.empty(24)
-    qpos[at.trunk] = np.concatenate((state.trunk.position, state.trunk.orientation))
-    qpos[at.box] = np.concatenate((state.box.position, state.box.orientation))
-    qpos[at.joints] = state.joints
-    qvel[at.trunk_v] = np.concatenate((state.trunk.velocity, state.trunk.rate))
-    qvel[at.box_v] = np.concatenate((state.box.velocity, state.box.rate))
-    qvel[at.joints_v] = state.joint_rates
-    return qpos, qvel
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class Go1:
-    """The robot of the planner's model.
+class Layout:
+    """Where robot and box are in a model's state, as a `Robot`; joints in our order, whatever the file's.
 
     Args:
-        at: Addresses of robot and box in that model's state.
-        sigma: Start sd of the sampling noise on each joint's knots [rad], shape (12,).
+        trunk: Slice of qpos, 7 numbers; the slice of qvel, 6 numbers, is `trunk_v`.
+        box: The same two slices of the box, `box` and `box_v`.
+        joints: Indices into qpos, shape (12,); those into qvel are `joints_v`, those into ctrl `servos`.
     """
 
-    at: ModelLayout
-    sigma: FloatArray
+    trunk: slice
+    trunk_v: slice
+    box: slice
+    box_v: slice
+    joints: IntArray
+    joints_v: IntArray
+    servos: IntArray
 
     lower, upper = LOWER, UPPER
 
-    @property
-    def servos(self) -> IntArray:
-        """See `Robot`."""
-        return self.at.servos
-
-    def coordinates(self, state: State) -> tuple[FloatArray, FloatArray]:
-        """See `Robot`."""
-        return coordinates(self.at, state)
-
     def state_of(self, time: float, qpos: FloatArray, qvel: FloatArray) -> State:
-        """See `Robot`."""
-        return state_of(self.at, time, qpos, qvel)
+        """See `Robot`: copies, whatever happens to the model's own arrays."""
+        qpos, qvel = np.array(qpos), np.array(qvel)
+        return State(time, *self.bodies(qpos, qvel), qpos[self.joints], qvel[self.joints_v])
 
     def bodies(self, qpos: FloatArray, qvel: FloatArray) -> tuple[Body, Body]:
-        """See `Robot`."""
-        return bodies(self.at, qpos, qvel)
+        """Trunk and box of coordinates (..., nq) and velocities (..., nv), as views of them."""
+        places = ((self.trunk, self.trunk_v), (self.box, self.box_v))
+        pairs = ((qpos[..., q], qvel[..., v]) for q, v in places)
+        trunk, box = (Body(q[..., :3], q[..., 3:], v[..., :3], v[..., 3:]) for q, v in pairs)
+        return trunk, box
+
+    def coordinates(self, state: State) -> tuple[FloatArray, FloatArray]:
+        """The inverse: qpos (26,) and qvel (24,) of a model of robot and box alone."""
+        qpos, qvel = np.empty(26), np.empty(24)
+        qpos[self.trunk] = np.concatenate((state.trunk.position, state.trunk.orientation))
+        qpos[self.box] = np.concatenate((state.box.position, state.box.orientation))
+        qpos[self.joints] = state.joints
+        qvel[self.trunk_v] = np.concatenate((state.trunk.velocity, state.trunk.rate))
+        qvel[self.box_v] = np.concatenate((state.box.velocity, state.box.rate))
+        qvel[self.joints_v] = state.joint_rates
+        return qpos, qvel

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import atan2, copysign, cos, hypot, sin
-from typing import Any
 
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.robots.go1.state import Body
+from amhe_cli.robots.go1.state import Body, wrapped
 
 #: The bumper's front in the trunk's frame, ahead of its origin [m].
 BUMPER = 0.27
@@ -179,11 +178,6 @@ def tilt_squared(q: FloatArray) -> FloatArray:
     return 4.0 * square * (1.0 - square)
 
 
-def wrapped(angle: Any) -> Any:
-    """The same angle in [-pi, pi): of an array (...), or of a plain number."""
-    return (angle + np.pi) % (2.0 * np.pi) - np.pi
-
-
 def limited(value: float, limit: float) -> float:
     """The nearest number within a limit on either side of zero."""
     return max(-limit, min(value, limit))
@@ -249,40 +243,3 @@ class Course:
         turn = middle + wrapped(atan2(k * ahead, 1.0 - k * left) - middle)
         distance = hypot(ahead, left - 1.0 / k)
         return Place(turn / k, 1.0 / k - copysign(distance, k), self.heading + turn)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Plane:
-    """Origin and heading of a frame whose z is the world's.
-
-    Args:
-        origin: Origin of the frame in the world [m], shape (2,).
-        yaw: Heading of its x axis [rad].
-    """
-
-    origin: FloatArray
-    yaw: float
-
-    @staticmethod
-    def under(body: Body) -> Plane:
-        """The frame that a body stands in."""
-        return Plane(np.array(body.position[:2]), body.yaw)
-
-    def place(self, point: FloatArray) -> FloatArray:
-        """A point of the world (3,) in this frame [m], shape (3,)."""
-        d, c, s = point[:2] - self.origin, np.cos(self.yaw), np.sin(self.yaw)
-        return np.array([c * d[0] + s * d[1], c * d[1] - s * d[0], point[2]])
-
-    def turn(self, body: Body) -> float:
-        """Heading of a body in this frame [rad]."""
-        return wrapped(body.yaw - self.yaw)
-
-    def pose(self, body: Body) -> FloatArray:
-        """Place ahead and left [m] and heading [rad] of a body in this frame, shape (3,)."""
-        return np.array([*self.place(body.position)[:2], self.turn(body)])
-
-    def in_world(self, pose: FloatArray) -> FloatArray:
-        """The inverse of `pose`: place [m] and heading [rad] in the world, shape (3,)."""
-        c, s = np.cos(self.yaw), np.sin(self.yaw)
-        x, y = self.origin[0] + c * pose[0] - s * pose[1], self.origin[1] + s * pose[0] + c * pose[1]
-        return np.array([x, y, self.yaw + pose[2]])

@@ -29,7 +29,6 @@ from amhe_cli.robots.go1.behaviours.gait import (
 )
 from amhe_cli.robots.go1.behaviours.objective import (
     Course,
-    Plane,
     Reference,
     SweepWeights,
     lean_terms,
@@ -37,7 +36,7 @@ from amhe_cli.robots.go1.behaviours.objective import (
     sweep_terms,
 )
 from amhe_cli.robots.go1.kinematics import FOOT_RADIUS, feet
-from amhe_cli.robots.go1.state import Body, State
+from amhe_cli.robots.go1.state import Body, Plane, State
 
 #: Places of the free leg among the four, and of the two at the ends of the long side of their triangle.
 FREE, _FRONT, _REAR = 0, 1, 2

@@ -25,9 +25,8 @@ from amhe_cli.robots.go1.behaviours.objective import (
     bumper_from_box,
     limited,
     push_terms,
-    wrapped,
 )
-from amhe_cli.robots.go1.state import GRAVITY, Body, State, heading_velocity
+from amhe_cli.robots.go1.state import GRAVITY, Body, State, heading_velocity, wrapped
 
 #: Where the planner's model has the place of the trunk over the floor.
 TRUNK = slice(7, 9)

@@ -20,17 +20,18 @@ from amhe_cli.control.mpopi import MpopiStep
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import AmheError
 from amhe_cli.core.log import Samples
+from amhe_cli.core.rotations import yaw_of
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.mail import SAMPLE, Followed, Phase, SenderReport, StoppedError, Targets
 from amhe_cli.robots.go1.link.process import Clock, Opened, planning_first
 from amhe_cli.robots.go1.model import Box
 from amhe_cli.robots.go1.poses.feed import PoseFeed, TimedPose
-from amhe_cli.robots.go1.poses.gate import Gate, World, check_axes, check_place, offset_pose, tilt_offset
+from amhe_cli.robots.go1.poses.gate import Gate, check_axes, check_place, offset_pose, tilt_offset
 from amhe_cli.robots.go1.poses.sources import Pose, PoseError
 from amhe_cli.robots.go1.poses.witness import Witness
 from amhe_cli.robots.go1.settings import Go1Settings, deviations
-from amhe_cli.robots.go1.state import State
+from amhe_cli.robots.go1.state import Plane, State
 
 #: More than this share of the rollouts of so many cycles in a row may not diverge.
 _DIVERGED, _CYCLES = 0.25, 5
@@ -75,7 +76,7 @@ class Go1Target(Opened):
         self._link, self._feed, self._settings, self._clock = link, feed, settings, clock
         self._period, self._latency = period, latency
         self._box = np.array([*box.position, 0.5 * box.size[2]])
-        self._world = World.same()
+        self._world = Plane(np.zeros(2), 0.0)
         self._start = 0.0
         self._time = 0.0
         self._plan, self._followed = Plan(0.0, period, np.asarray(HOME)[None]), Followed()
@@ -137,8 +138,9 @@ class Go1Target(Opened):
         robot = report.robot
         assert robot is not None, "who is connected has reported a state"
         check_axes(trunk, robot.quaternion)
-        self._world = World.under(trunk) if s.world == "trunk" else World.same()
-        place, _ = self._world.seen(box)
+        if s.world == "trunk":
+            self._world = Plane(trunk[0][:2], float(yaw_of(trunk[1])))
+        place = self._world.place(box[0])
         check_place(place, self._box, s.place_tolerance)
         contact, tilt = report.contact, np.rad2deg(tilt_offset(trunk, robot.quaternion))
         return {
@@ -198,8 +200,8 @@ class Go1Target(Opened):
         age = self._clock.now() - self._oldest
         if age > s.trips.pose_age:
             raise PoseError(f"no pose of trunk or box for {1e3 * age:.0f} ms: the run does not begin")
-        place, _ = self._world.seen(self._offset(self._newest[s.box]))
-        check_place(place, self._box, s.place_tolerance)
+        box, _ = self._offset(self._newest[s.box])
+        check_place(self._world.place(box), self._box, s.place_tolerance)
 
     def _wait_for(self, phase: Phase) -> None:
         while not self._link.reached(phase):
@@ -315,7 +317,7 @@ class Go1Target(Opened):
         for other in self._unpaired:
             if other.body != pose.body and abs(other.time - pose.time) < _TOGETHER:
                 self._unpaired.remove(other)
-                pair = {one.body: self._world.seen(self._offset(one)) for one in (pose, other)}
+                pair = {one.body: self._world.seen(*self._offset(one)) for one in (pose, other)}
                 time = max(pose.time, other.time)
                 self._poses.append((time, pair[self._settings.trunk], pair[self._settings.box]))
                 return

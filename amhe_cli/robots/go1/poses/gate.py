@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.rotations import conjugate, difference, exp, multiply, rotate, yaw_of
+from amhe_cli.core.rotations import conjugate, difference, exp, multiply, rotate
 from amhe_cli.robots.go1.kalman import ValueFilter
 from amhe_cli.robots.go1.poses.sources import Pose, PoseError
 from amhe_cli.robots.go1.settings import PoseSettings
@@ -33,36 +33,6 @@ def rigid_body(true: Pose, offset: Offset) -> Pose:
     """The pose that a rigid body has, whose offset leads to the true pose."""
     turn = multiply(true[1], conjugate(exp(np.array(offset[3:]))))
     return true[0] - rotate(turn, np.array(offset[:3])), turn
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class World:
-    """The task's frame in that of motion capture: moved over the floor and turned about the vertical.
-
-    Args:
-        origin: Origin of the task's frame in that of motion capture [m], shape (3,).
-        turn: Orientation of the task's frame in that of motion capture, a unit quaternion, shape (4,).
-    """
-
-    origin: FloatArray
-    turn: FloatArray
-
-    @staticmethod
-    def same() -> World:
-        """The frame of motion capture itself."""
-        return World(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
-
-    @staticmethod
-    def under(trunk: Pose) -> World:
-        """The frame on the floor under the trunk, x along its heading."""
-        position, orientation = trunk
-        level = np.array([0.0, 0.0, yaw_of(orientation)])
-        return World(np.array([position[0], position[1], 0.0]), exp(level))
-
-    def seen(self, pose: Pose) -> Pose:
-        """A pose of motion capture, in the task's frame."""
-        back = conjugate(self.turn)
-        return rotate(back, pose[0] - self.origin), multiply(back, pose[1])
 
 
 def up(orientation: FloatArray) -> FloatArray:

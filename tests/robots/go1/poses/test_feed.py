@@ -16,12 +16,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from amhe_cli.core.rotations import exp, multiply, rotate
+from amhe_cli.core.rotations import exp, multiply, rotate, yaw_of
 from amhe_cli.robots.go1.link.process import Clock, ClockMap
 from amhe_cli.robots.go1.poses.feed import PoseFeed, TimedPose, _Sender
-from amhe_cli.robots.go1.poses.gate import Gate, World, check_axes, check_place, offset_pose, tilt_offset
+from amhe_cli.robots.go1.poses.gate import Gate, check_axes, check_place, offset_pose, tilt_offset
 from amhe_cli.robots.go1.poses.sources import PoseError, Sighting, UdpPoses, pose_datagram, read_pose
 from amhe_cli.robots.go1.settings import Go1Settings, PoseSettings
+from amhe_cli.robots.go1.state import Plane
 from tests.robots.go1.stand_ins import free_port, repeating, udp
 
 CLOCK = Clock()
@@ -231,13 +232,13 @@ def turned(x: float, y: float, z: float) -> np.ndarray:
 def test_the_tasks_frame_lies_under_the_trunk_along_its_heading() -> None:
     heading = turned(0.0, 0.0, 2.0)
     trunk = (np.array([3.0, -1.0, 0.09]), multiply(heading, turned(0.02, -0.03, 0.0)))
-    world = World.under(trunk)
-    position, orientation = world.seen(trunk)
+    world = Plane(trunk[0][:2], float(yaw_of(trunk[1])))
+    position, orientation = world.seen(*trunk)
     np.testing.assert_allclose(position, [0.0, 0.0, 0.09], atol=1e-12)
     ahead = rotate(orientation, np.array([1.0, 0.0, 0.0]))
     assert np.arctan2(ahead[1], ahead[0]) == pytest.approx(0.0, abs=1e-9)
     box = (trunk[0] + rotate(heading, np.array([0.6, 0.1, 0.06])), heading)
-    np.testing.assert_allclose(world.seen(box)[0], [0.6, 0.1, 0.15], atol=0.01)
+    np.testing.assert_allclose(world.place(box[0]), [0.6, 0.1, 0.15], atol=0.01)
 
 
 def test_a_rigid_body_elsewhere_on_the_trunk_is_moved_to_its_centre() -> None:
