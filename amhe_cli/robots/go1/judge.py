@@ -17,9 +17,10 @@ from amhe_cli.core.statistics import quantiles
 from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.live.episode import Cycle
 from amhe_cli.logs.messages.writer import ERROR, OK, WARN
+from amhe_cli.robots.go1.behaviours.walking import TAPER
 from amhe_cli.robots.go1.kinematics import feet
 from amhe_cli.robots.go1.state import SensorNoise, State, heading_velocity
-from amhe_cli.robots.go1.tasks import LONGEST, TAPER, Task
+from amhe_cli.robots.go1.tasks import LONGEST, Task
 
 #: The box has arrived when it has been this near to the goal [m] for so long [s].
 NEAR, HOLD = 0.05, 0.5

@@ -13,12 +13,10 @@ from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.shown import Floor
 from amhe_cli.robots.go1.behaviours.gait import Gait, standing
 from amhe_cli.robots.go1.behaviours.objective import Course
-from amhe_cli.robots.go1.behaviours.sweeping import Sweeping, Tripod
-from amhe_cli.robots.go1.behaviours.walking import Helm, Walking
+from amhe_cli.robots.go1.behaviours.sweeping import Sweeping, SweepShape
+from amhe_cli.robots.go1.behaviours.walking import Helm, Walking, commanded_speed
 from amhe_cli.robots.go1.model import Box, Change
 
-#: Commanded speed along the path [m/s], and the last part of the path over which it goes to zero [m].
-SPEED, TAPER = 0.2, 0.2
 #: The longest that an episode takes [s].
 LONGEST = 40.0
 
@@ -67,16 +65,13 @@ class Task:
 
     def behaviour(self, gait: Gait = _GAIT) -> Walking | Sweeping:
         """A new behaviour that performs the task; each episode needs its own."""
-        depth, width, _ = self.box.size
         if self.one_leg:
-            return Sweeping(self.path, 0.5 * width, gait=standing(gait))
-        return Walking(Helm(self.path, SPEED, TAPER, half_length=0.5 * depth, half_width=0.5 * width), gait)
+            return Sweeping(self.path, 0.5 * self.box.size[1], gait=standing(gait))
+        return Walking(Helm(self.path, self.box.size), gait)
 
     def commanded_speed(self, progress: float) -> float:
-        """Commanded speed of the robot [m/s] when the box has come so far along its path [m]."""
-        if self.one_leg:
-            return 0.0
-        return SPEED * self.path.tapered(progress, TAPER)
+        """See `walking.commanded_speed`; on one leg the robot stands."""
+        return 0.0 if self.one_leg else commanded_speed(self.path, progress)
 
     @property
     def pushes(self) -> bool:
@@ -86,7 +81,7 @@ class Task:
     @property
     def judged_from(self) -> float:
         """Time from which the speed is judged [s]: with one leg, from when it is free."""
-        return Tripod().shift_time if self.one_leg else 1.0
+        return SweepShape().shift_time if self.one_leg else 1.0
 
     @property
     def floor(self) -> Floor:

@@ -81,14 +81,12 @@ class LegTargets:
         joints: True joint angles that put the feet where they should be [rad], shape (..., 12).
         feet: Centres of the feet in the trunk's frame [m], shape (..., 4, 3).
         forces: Forces of the ground on the feet [N], shape (..., 4, 3).
-        contact: Feet that should stand, shape (..., 4).
     """
 
     targets: FloatArray
     joints: FloatArray
     feet: FloatArray
     forces: FloatArray
-    contact: BoolArray
 
 
 def standing(gait: Gait) -> Gait:
@@ -139,17 +137,15 @@ def walk(
     feet = neutral_feet(gait) + steps
     feet[..., 1] += np.asarray(left, dtype=np.float64)
     forces = ground_forces(gait, feet, _loads(gait, phase), push, PUSH_HEIGHT)
-    return leg_targets(gait, feet, velocity, forces, phase < gait.duty)
+    return leg_targets(gait, feet, velocity, forces)
 
 
-def leg_targets(
-    gait: Gait, feet: FloatArray, velocity: FloatArray, forces: FloatArray, contact: BoolArray
-) -> LegTargets:
+def leg_targets(gait: Gait, feet: FloatArray, velocity: FloatArray, forces: FloatArray) -> LegTargets:
     """Joints and joint targets for feet that move so, while the ground acts so on them; all (..., 4, 3)."""
     joints = joint_angles(feet)
     at = posture(joints)
     torques = at.holding_torques(forces) + np.array(4 * gait.damping) * at.rates(velocity)
-    return LegTargets(joints + gait.zeros + torques / gait.kp, joints, feet, forces, contact)
+    return LegTargets(joints + gait.zeros + torques / gait.kp, joints, feet, forces)
 
 
 def _steps(gait: Gait, phase: FloatArray, twist: FloatArray) -> tuple[FloatArray, FloatArray]:

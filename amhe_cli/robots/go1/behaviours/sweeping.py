@@ -44,22 +44,9 @@ FREE, _FRONT, _REAR = 0, 1, 2
 SHIFT = sealed([-0.05, 0.04])
 
 
-@dataclass(frozen=True, slots=True)
-class Tripod:
-    """How a front leg becomes free.
-
-    Args:
-        shift_time: The trunk moves over the other three feet in this time [s].
-        lift_time: The free foot then goes to its first place in this time [s].
-    """
-
-    shift_time: float = 1.0
-    lift_time: float = 0.6
-
-
 def stand_on_three(
     gait: Gait,
-    tripod: Tripod,
+    shape: SweepShape,
     time: ArrayLike,
     foot: ArrayLike,
     trunk: ArrayLike = (0.0, 0.0, 0.0),
@@ -74,7 +61,7 @@ def stand_on_three(
 
     Args:
         gait: Height and servo gain; the rest is not used.
-        tripod: How fast the leg becomes free.
+        shape: How fast the leg becomes free; the rest is not used.
         time: Time since the start of the shift [s], shape (...).
         foot: Place of the free foot [m], shape (..., 3).
         trunk: Further movement of the trunk: ahead, left [m], turn [rad], shape (..., 3).
@@ -87,8 +74,8 @@ def stand_on_three(
     """
     time, foot, trunk, push = (np.asarray(x, dtype=np.float64) for x in (time, foot, trunk, push))
     batch = np.broadcast_shapes(time.shape, foot.shape[:-1], trunk.shape[:-1], push.shape[:-1])
-    shifted = _smooth(time / tripod.shift_time)
-    lifted = _smooth((time - tripod.shift_time) / tripod.lift_time)[..., None]
+    shifted = _smooth(time / shape.shift_time)
+    lifted = _smooth((time - shape.shift_time) / shape.lift_time)[..., None]
     planted = neutral_feet(gait) if planted is None else planted
     places = np.broadcast_to(planted, (*batch, 4, 3)).copy()
     places[..., FREE, :] += lifted * (foot - places[..., FREE, :])
@@ -108,9 +95,7 @@ def stand_on_three(
     # three feet carry the robot and push back on the floor; the free one has the push upon it
     free = load[..., FREE] == 0.0
     forces[..., FREE, :2] = np.where(free[..., None], -push, forces[..., FREE, :2])
-    contact = np.ones((*batch, 4), dtype=np.bool_)
-    contact[..., FREE] = np.broadcast_to(time < tripod.shift_time, batch)
-    return leg_targets(gait, feet, np.zeros_like(feet), forces, contact)
+    return leg_targets(gait, feet, np.zeros_like(feet), forces)
 
 
 def support_margin(planted: FloatArray, trunk: FloatArray) -> float:
@@ -152,6 +137,8 @@ class SweepShape:
     """How the leg sweeps, in the frame of the three standing feet: x ahead, y left.
 
     Args:
+        shift_time: The trunk moves over the other three feet in this time [s].
+        lift_time: The free foot then goes to its first place in this time [s].
         height: Height of the foot over the floor [m].
         clearance: Distance from foot to box when the foot is first put there [m].
         speed: Speed of foot and box [m/s].
@@ -179,6 +166,8 @@ class SweepShape:
         aside: Speed of the steps to where the next sweep begins [m/s].
     """
 
+    shift_time: float = 1.0
+    lift_time: float = 0.6
     height: float = 0.14
     clearance: float = 0.01
     speed: float = 0.08
@@ -245,7 +234,7 @@ class SweepMove:
         push = np.zeros((len(commands), 1, 2))
         push[:, 0, 1] = np.minimum(commands[:, 5], 0.0)
         return stand_on_three(
-            owner.gait, owner.tripod, times[None], foot, trunk, push, self.trunk_now, self.planted
+            owner.gait, owner.shape, times[None], foot, trunk, push, self.trunk_now, self.planted
         ).targets
 
     def terms(self, times: FloatArray, bodies: tuple[Body, Body]) -> dict[str, FloatArray]:
@@ -266,8 +255,8 @@ class Sweeping:
     Args:
         half_width: Distance from the box's middle to the face that is pushed [m].
         taper: Last distance of the path over which the speed goes to zero [m].
-        gait, tripod: Shape of the stance, and how the leg becomes free.
-        shape: How the leg sweeps.
+        gait: Shape of the stance.
+        shape: How the leg becomes free, and sweeps.
         trunk_height: Desired height of the trunk [m].
         begun: When the present sweep's shift of the trunk begins, or the next one's [s].
     """
@@ -276,7 +265,6 @@ class Sweeping:
     half_width: float
     taper: float = 0.05
     gait: Gait = field(default_factory=lambda: standing(Gait()))
-    tripod: Tripod = field(default_factory=Tripod)
     shape: SweepShape = field(default_factory=SweepShape)
     weights: SweepWeights = field(default_factory=SweepWeights)
     trunk_height: float = 0.27
@@ -320,7 +308,7 @@ class Sweeping:
     def standing(self, times: FloatArray) -> BoolArray:
         """Which feet should stand at times [s] (...), shape (..., 4)."""
         stands = np.ones((*np.shape(times), 4), dtype=np.bool_)
-        stands[..., FREE] = times < self.begun + self.tripod.shift_time
+        stands[..., FREE] = times < self.begun + self.shape.shift_time
         return np.where((times < self.begun)[..., None], contacts(self.trot, times), stands)
 
     def move(self, state: State, belief: Mapping[str, float]) -> SweepMove:
@@ -359,7 +347,7 @@ class Sweeping:
     @property
     def _begin(self) -> float:
         """Time at which the sweep begins [s]."""
-        return self.begun + self.tripod.shift_time + self.tripod.lift_time
+        return self.begun + self.shape.shift_time + self.shape.lift_time
 
     def _begin_again(self, state: State) -> None:
         """Step after the box, until it stands beside the robot as it did at first; then sweep once more."""
@@ -414,7 +402,7 @@ class Sweeping:
     def lean(self, times: FloatArray, y: FloatArray) -> FloatArray:
         """How the trunk has leant and turned when the free foot is at y [m] (...), shape (..., 3)."""
         s = self.shape
-        since = times - self.tripod.shift_time - self.tripod.lift_time
+        since = times - self.shape.shift_time - self.shape.lift_time
         begun = np.clip(since / s.lean_time, 0.0, 1.0)
         gone = begun * (self._start_y + s.lean_ahead - y) / max(self._start_y + s.reach, 0.05)
         back, rest = np.clip(s.back_first * gone, 0.0, 1.0), np.clip(gone, 0.0, 1.0)
@@ -423,7 +411,7 @@ class Sweeping:
     def _lean_in_world(self, stance: Plane, time: float, y: float) -> FloatArray:
         time -= self.begun
         lean = self.lean(np.array(time), np.array(y))
-        lean[:2] += min(1.0, time / self.tripod.shift_time) * SHIFT
+        lean[:2] += min(1.0, time / self.shape.shift_time) * SHIFT
         return stance.in_world(lean)
 
     def _aim(self, passed: float, y: float, speed: float) -> float:

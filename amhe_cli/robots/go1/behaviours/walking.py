@@ -19,7 +19,6 @@ from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
 from amhe_cli.robots.go1.behaviours.gait import WEIGHT, Gait, box_friction, contacts, switches, walk
 from amhe_cli.robots.go1.behaviours.objective import (
     Course,
-    Place,
     PushWeights,
     Reference,
     bumper_from_box,
@@ -28,6 +27,8 @@ from amhe_cli.robots.go1.behaviours.objective import (
 )
 from amhe_cli.robots.go1.state import GRAVITY, Body, State, heading_velocity, wrapped
 
+#: Commanded speed along the path [m/s], and the last part of the path over which it goes to zero [m].
+SPEED, TAPER = 0.2, 0.2
 #: Where the planner's model has the place of the trunk over the floor.
 TRUNK = slice(7, 9)
 #: Longest time that one cycle integrates over, after a pause too [s].
@@ -217,29 +218,21 @@ class Retreat:
     aligned_turn: float = 0.12
 
 
+def commanded_speed(path: Course, progress: float) -> float:
+    """Commanded speed of the robot [m/s] when the box has come so far along its path [m]."""
+    return SPEED * path.tapered(progress, TAPER)
+
+
 class Helm:
     """Turns states into references; remembers whether the robot is backing off, and how slow it is.
 
     Args:
-        speed: Commanded speed [m/s].
-        taper: Last distance of the path over which the speed goes to zero [m].
-        half_length, half_width: Half the extent of the box along and across the push [m].
-        steering, retreat: Gains and thresholds.
+        size: Extent of the box along and across the push [m], and its height.
     """
 
-    def __init__(
-        self,
-        path: Course,
-        speed: float,
-        taper: float,
-        half_length: float,
-        half_width: float,
-        steering: Steering = Steering(),
-        retreat: Retreat = Retreat(),
-    ) -> None:
-        self._path, self._speed, self._taper = path, speed, taper
-        self._half_length, self._half_width = half_length, half_width
-        self._steering, self._retreat = steering, retreat
+    def __init__(self, path: Course, size: tuple[float, float, float]) -> None:
+        self._path, self._half_length, self._half_width = path, 0.5 * size[0], 0.5 * size[1]
+        self._steering, self._retreat = Steering(), Retreat()
         self._pacing, self._insisting = Pacing(), Insisting()
         self.retreating = False
         self._gone, self._held, self._mark = 0.0, 0.0, (-np.inf, 0.0)
@@ -248,16 +241,15 @@ class Helm:
         """The fixed path reference: what the task demands, whether or not it can be done."""
         place = self._path.place(state.box.position[:2])
         origin, heading = self._path.nearest(state.box.position[:2], place), place.heading
-        return Reference(state.time, self._commanded(place), origin, heading, yaw=heading, box_yaw=heading)
-
-    def _commanded(self, place: Place) -> float:
-        return self._speed * self._path.tapered(place.progress, self._taper)
+        commanded = commanded_speed(self._path, place.progress)
+        return Reference(state.time, commanded, origin, heading, yaw=heading, box_yaw=heading)
 
     def reference(self, state: State, overlap: float = 0.0) -> Reference:
         """What the controller is to do now, if the box's face is so far behind its stated place [m]."""
         place, s = self._path.place(state.box.position[:2]), self._steering
         origin = self._path.nearest(state.box.position[:2], place)
-        progress, box_yaw, commanded = place.progress, state.box.yaw, self._commanded(place)
+        progress, box_yaw = place.progress, state.box.yaw
+        commanded = commanded_speed(self._path, progress)
         gone, self._gone = self._gone, max(self._gone, progress)  # noise of a box that stands is no way
         self._held = limited(self._held + s.path_hold * place.left * (self._gone - gone), s.path_limit)
         back = limited(s.path_gain * place.left + self._held, s.path_limit)
@@ -273,8 +265,8 @@ class Helm:
                 state.time, speed, origin, heading, box_yaw, box_yaw=heading, offset=offset, pushing=0.0
             )
         touching = gap < s.touching
-        if touching and commanded == self._speed:  # not while the commanded speed falls
-            self._pacing.update(state.time, 1.0 - heading_velocity(state.trunk)[0] / self._speed)
+        if touching and commanded == SPEED:  # not while the commanded speed falls
+            self._pacing.update(state.time, 1.0 - heading_velocity(state.trunk)[0] / SPEED)
         stands = self._stands(state.time, progress, gap)
         if speed > 0.0 and (touching or stands or (gap < s.near and self._insisting.share > 0.0)):
             reached = heading_velocity(state.box)[0] if touching else speed

@@ -13,7 +13,7 @@ from amhe_cli.robots.go1.behaviours.objective import Course, PushWeights, Refere
 from amhe_cli.robots.go1.behaviours.walking import Helm, WalkGains, Walking
 from amhe_cli.robots.go1.model import Box
 from amhe_cli.robots.go1.state import State
-from amhe_cli.robots.go1.tasks import LONGEST, SPEED, TAPER, Believed, Task
+from amhe_cli.robots.go1.tasks import LONGEST, Believed, Task
 
 #: The walking push keeps to this speed [m/s], and this far beside the box's middle [m]; the trot still does
 #: it when it is held (docs/probing.md).
@@ -103,11 +103,10 @@ class MotionHelm(Helm):
 
     Args:
         motion: The motion after the approach.
-        half_length, half_width: Half the extent of the box along and across the push [m].
     """
 
-    def __init__(self, motion: Motion, path: Course, half_length: float, half_width: float) -> None:
-        super().__init__(path, SPEED, TAPER, half_length, half_width)
+    def __init__(self, motion: Motion, path: Course, size: tuple[float, float, float]) -> None:
+        super().__init__(path, size)
         self._motion = motion
 
     def reference(self, state: State, overlap: float = 0.0) -> Reference:
@@ -140,8 +139,7 @@ class ProbeTask(Task):
 
     def behaviour(self, gait: Gait = _GAIT) -> Walking:
         """See `Task.behaviour`."""
-        depth, width, _ = self.box.size
-        return Walking(MotionHelm(self.motion, self.path, 0.5 * depth, 0.5 * width), gait)
+        return Walking(MotionHelm(self.motion, self.path, self.box.size), gait)
 
 
 #: Free walking, which reveals the robot's own numbers: seconds, speed ahead [m/s], yaw rate [rad/s].
@@ -178,8 +176,7 @@ class WalkTask(ProbeTask):
     def behaviour(self, gait: Gait = _GAIT) -> Walking:
         """See `Task.behaviour`."""
         alone = PushWeights(box_speed=0.0, box_left=0.0, box_yaw=0.0, box_tilt=0.0, robot_left=0.0)
-        helm = Stroll(self.path, SPEED, TAPER, 0.5 * self.box.size[0], 0.5 * self.box.size[1])
-        return Walking(helm, gait, alone, WalkGains(left=0.0))
+        return Walking(Stroll(self.path, self.box.size), gait, alone, WalkGains(left=0.0))
 
 
 #: The task of `amhe probe --task walk`.

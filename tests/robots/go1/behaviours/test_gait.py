@@ -21,7 +21,7 @@ from amhe_cli.robots.go1.behaviours.gait import (
     walk,
 )
 from amhe_cli.robots.go1.behaviours.objective import Course
-from amhe_cli.robots.go1.behaviours.sweeping import FREE, SHIFT, Sweeping, SweepShape, Tripod, stand_on_three
+from amhe_cli.robots.go1.behaviours.sweeping import FREE, SHIFT, Sweeping, SweepShape, stand_on_three
 from amhe_cli.robots.go1.kinematics import joint_angles
 from amhe_cli.robots.go1.model import Box, planner_model, plant_model
 from amhe_cli.robots.go1.state import Body, State
@@ -56,16 +56,17 @@ def test_standing_feet_stay_on_the_floor_of_a_moving_trunk(twist: list[float]) -
     vx, vy, w = twist
     neutral = neutral_feet(GAIT)
     expected = -np.stack((vx - w * neutral[:, 1], vy + w * neutral[:, 0], np.zeros(4)), axis=-1)
-    stays = now.contact & soon.contact
+    stays = contacts(GAIT, times) & contacts(GAIT, times + step)
     np.testing.assert_allclose(velocity[stays], np.broadcast_to(expected, velocity.shape)[stays], atol=1e-6)
 
 
 def test_swinging_feet_are_lifted_and_never_jump() -> None:
-    reference = walk(GAIT, np.arange(0.0, 1.0, 1e-3), AHEAD)
+    times = np.arange(0.0, 1.0, 1e-3)
+    reference = walk(GAIT, times, AHEAD)
     height = reference.feet[..., 2] - neutral_feet(GAIT)[:, 2]
     assert height.max() == pytest.approx(GAIT.swing, abs=1e-4)
     assert np.abs(np.diff(reference.feet, axis=0)).max() < 2e-3
-    assert (height[reference.contact] == 0.0).all()
+    assert (height[contacts(GAIT, times)] == 0.0).all()
 
 
 def test_forces_carry_the_weight_and_the_push_without_a_moment() -> None:
@@ -80,8 +81,9 @@ def test_forces_carry_the_weight_and_the_push_without_a_moment() -> None:
 
 
 def test_feet_in_the_air_carry_nothing() -> None:
-    reference = walk(GAIT, np.arange(0.0, 1.0, 7e-3), AHEAD, (15.0, 0.0))
-    assert (reference.forces[~reference.contact] == 0.0).all()
+    times = np.arange(0.0, 1.0, 7e-3)
+    reference = walk(GAIT, times, AHEAD, (15.0, 0.0))
+    assert (reference.forces[~contacts(GAIT, times)] == 0.0).all()
     assert (reference.forces[..., 2] >= 0.0).all()
     np.testing.assert_allclose(reference.forces[..., 2].sum(axis=-1), WEIGHT)
 
@@ -152,26 +154,25 @@ def test_a_push_as_strong_as_friction_moves_the_box_at_the_walk_s_speed() -> Non
 def test_it_stands_on_three_legs_and_sweeps_with_the_fourth(plant: mujoco.MjModel) -> None:
     def sweep(t: float):
         out = -0.127 - np.clip(0.1 * (t - 2.5), 0.0, 0.1)
-        return stand_on_three(GAIT, Tripod(), t, [0.22, out, -0.14])
+        return stand_on_three(GAIT, SweepShape(), t, [0.22, out, -0.14])
 
     last = sweep(6.0)
-    assert last.contact.sum() == 3
     assert (last.forces[FREE] == 0.0).all()
-    assert last.forces[..., 2].min() == 0.0
+    assert (last.forces[1:, 2] > 0.0).all()
     motion = play(plant, sweep, 6.0)
     assert motion.tilt.max() < np.radians(5.0)
     assert motion.trunk[:, 2].min() > 0.25
 
 
 def test_the_free_foot_s_push_is_held_by_the_other_three() -> None:
-    reference = stand_on_three(GAIT, Tripod(), 3.0, [0.22, -0.2, -0.14], push=[0.0, -10.0])
+    reference = stand_on_three(GAIT, SweepShape(), 3.0, [0.22, -0.2, -0.14], push=[0.0, -10.0])
     np.testing.assert_allclose(reference.forces[0], [0.0, 10.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(reference.forces[1:].sum(axis=0), [0.0, -10.0, WEIGHT], atol=1e-9)
 
 
 def test_turning_the_trunk_leaves_the_feet_where_they_are() -> None:
     turn, moved = 0.2, np.array([0.02, -0.01])
-    reference = stand_on_three(GAIT, Tripod(), 3.0, [0.22, -0.2, -0.14], trunk=[*moved, turn])
+    reference = stand_on_three(GAIT, SweepShape(), 3.0, [0.22, -0.2, -0.14], trunk=[*moved, turn])
     c, s = np.cos(turn), np.sin(turn)
     back = reference.feet[:, :2] @ np.array([[c, s], [-s, c]]) + moved + SHIFT
     np.testing.assert_allclose(back[1:], neutral_feet(GAIT)[1:, :2], atol=1e-9)

@@ -330,7 +330,7 @@ def state(time: float, gap: float = 0.0, box_yaw: float = 0.0) -> State:
 
 
 def helm(motion: Motion) -> MotionHelm:
-    return MotionHelm(motion, Course((0.6, 0.0), 0.0, 100.0), 0.15, 0.25)
+    return MotionHelm(motion, Course((0.6, 0.0), 0.0, 100.0), (0.3, 0.5, 0.3))
 
 
 def test_a_motion_repeats_behind_the_approach() -> None:

@@ -33,13 +33,13 @@ from amhe_cli.robots.go1.state import GRAVITY, Body, State
 
 FEW = settings(max_examples=25, deadline=None)
 
-SPEED, TAPER, HALF_LENGTH, HALF_WIDTH = 0.2, 0.2, 0.15, 0.25
+SPEED, HALF_LENGTH, HALF_WIDTH = 0.2, 0.15, 0.25
 LINE = Course((0.6, 0.0), 0.0, 3.0)
 ARC = Course((0.6, 0.0), 0.3, 4.0, 1.0 / 1.5)
 
 
 def helm(path: Course = LINE) -> Helm:
-    return Helm(path, SPEED, TAPER, HALF_LENGTH, HALF_WIDTH)
+    return Helm(path, (2.0 * HALF_LENGTH, 2.0 * HALF_WIDTH, 0.3))
 
 
 def body(x: float, y: float, yaw: float) -> Body:
