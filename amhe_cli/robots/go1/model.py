@@ -132,7 +132,7 @@ def plant_model(box: Box = Box(), robot: Path | None = None, timestep: float = 0
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = 10.0  # a foot or a box that sticks does not creep
     _set_box(spec, box)
-    _add_robot(spec, read_robot(ours if robot is None else robot), self_collisions=robot is None)
+    _add_robot(spec, ours if robot is None else robot, self_collisions=robot is None)
     if spec.geom(_PREFIX + "bumper_high") is None:
         _add_bumper(spec, read_spec(ours))
     _add_servos(spec)
@@ -162,16 +162,17 @@ def _set_box(spec: mujoco.MjSpec, box: Box) -> None:
     body.quat = [np.cos(0.5 * box.yaw), 0.0, 0.0, np.sin(0.5 * box.yaw)]
 
 
-def _add_robot(spec: mujoco.MjSpec, robot: RobotFile, self_collisions: bool) -> None:
-    """Attach the robot, and give its trunk and joints our names."""
-    _take_options(robot.spec, spec)
-    root = spec.worldbody.add_frame().attach_body(robot.spec.body(robot.root), _PREFIX, "")
+def _add_robot(spec: mujoco.MjSpec, file: Path, self_collisions: bool) -> None:
+    """Attach the robot of a file, and give its trunk and joints our names."""
+    robot, joints = _read_robot(file)
+    _take_options(robot, spec)
+    root = spec.worldbody.add_frame().attach_body(_root(robot, joints[0], file.name), _PREFIX, "")
     for exclude in spec.excludes:  # MuJoCo refers to bodies by name
         for end in ("bodyname1", "bodyname2"):
             if getattr(exclude, end) == root.name:
                 setattr(exclude, end, "trunk")
     root.name = root.joints[0].name = "trunk"
-    for name, own in zip(JOINTS, robot.joints, strict=True):
+    for name, own in zip(JOINTS, joints, strict=True):
         spec.joint(_PREFIX + own).name = name
     for index, geom in enumerate(_robot_geoms(spec)):
         if self_collisions:
@@ -242,20 +243,6 @@ def _stand_on(pair: mujoco.MjsPair, geom: mujoco.MjsGeom) -> None:
         pair.friction[2:] = [geom.friction[1], geom.friction[2], geom.friction[2]]
 
 
-def set_floor_friction(model: mujoco.MjModel, friction: float) -> None:
-    """Set the friction of box against floor, in place and in both directions of the floor's plane."""
-    model.pair(FLOOR_PAIR).friction[:2] = friction
-
-
-def set_box_mass(model: mujoco.MjModel, mass: float) -> None:
-    """Set the box's mass [kg] in place; inertia and the model's derived constants follow."""
-    box = model.body("box")
-    box.inertia[:] *= mass / box.mass[0]
-    box.mass[0] = mass
-    # Without this the contact solver keeps scaling by the old mass. It writes into the data it is given.
-    mujoco.mj_setConst(model, mujoco.MjData(model))
-
-
 @dataclass(frozen=True, slots=True)
 class Change:
     """A change of the plant that happens once.
@@ -281,28 +268,19 @@ class Change:
     def apply(self, model: mujoco.MjModel) -> None:
         """Write the new numbers into the plant's model."""
         if self.mass is not None:
-            set_box_mass(model, self.mass)
+            box = model.body("box")
+            box.inertia[:] *= self.mass / box.mass[0]
+            box.mass[0] = self.mass
+            # Without this the contact solver keeps scaling by the old mass. It writes into its data.
+            mujoco.mj_setConst(model, mujoco.MjData(model))
         if self.floor_friction is not None:
-            set_floor_friction(model, self.floor_friction)
+            model.pair(FLOOR_PAIR).friction[:2] = self.floor_friction  # both directions of the floor's plane
 
 
-@dataclass(frozen=True, slots=True)
-class RobotFile:
-    """A robot as its file has it.
+def _read_robot(path: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
+    """The robot of a model file, and the names of its twelve joints there, in our order.
 
-    Args:
-        spec: The file's spec, with its bodies.
-        root: Name of the body that carries the four legs and moves freely.
-        joints: Name of each of the twelve joints in the file, in our order.
-    """
-
-    spec: mujoco.MjSpec
-    root: str
-    joints: tuple[str, ...]
-
-
-def read_robot(path: Path) -> RobotFile:
-    """Find a Go1 in a model file, by where its joints are and how they turn; their names do not matter.
+    A Go1's joints are found by where they are and how they turn; their names do not matter.
 
     Raises:
         ConfigError: The file does not exist, MuJoCo cannot read it, or it holds no Go1; the text says what is
@@ -320,8 +298,7 @@ def read_robot(path: Path) -> RobotFile:
             spec.delete(element)
     for number, joint in enumerate(spec.joints):
         joint.name = joint.name or f"joint {number}"
-    joints = _joints(compiled(spec.copy(), f"the robot of {path.name!r}"), path.name)
-    return RobotFile(spec, _root(spec, joints[0], path.name), joints)
+    return spec, _joints(compiled(spec.copy(), f"the robot of {path.name!r}"), path.name)
 
 
 def _joints(model: mujoco.MjModel, file: str) -> tuple[str, ...]:
@@ -358,8 +335,8 @@ def _joints(model: mujoco.MjModel, file: str) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _root(spec: mujoco.MjSpec, joint: str, file: str) -> str:
-    """Name of the topmost body over the legs; it gets a name and a free joint if it has none."""
+def _root(spec: mujoco.MjSpec, joint: str, file: str) -> mujoco.MjsBody:
+    """The topmost body over the legs; it gets a name and a free joint if it has none."""
     root = spec.joint(joint).parent
     while root.parent.name != "world":
         root = root.parent
@@ -368,7 +345,7 @@ def _root(spec: mujoco.MjSpec, joint: str, file: str) -> str:
         root.add_freejoint()
     elif [joint.type for joint in root.joints] != [mujoco.mjtJoint.mjJNT_FREE]:
         raise ConfigError(f"{file}: body {root.name!r} must move by one free joint, or be without joints")
-    return root.name
+    return root
 
 
 def _expected() -> Iterator[tuple[np.ndarray, np.ndarray]]:

@@ -15,12 +15,11 @@ from amhe_cli.robots.go1.behaviours.objective import BUMPER
 from amhe_cli.robots.go1.kinematics import HOME, JOINTS, TORQUE_LIMIT
 from amhe_cli.robots.go1.model import (
     Box,
+    Change,
     home,
     layout,
     planner_model,
     plant_model,
-    set_box_mass,
-    set_floor_friction,
 )
 from amhe_cli.system.description.folders import find_system
 from tests.robots.go1.playing import FAR, play
@@ -155,13 +154,13 @@ def slide(model: mujoco.MjModel, speed: float) -> float:
 def test_friction_changed_at_run_time_changes_the_slide() -> None:
     plant = plant_model(FAR)
     for friction in (0.4, 0.8):
-        set_floor_friction(plant, friction)
+        Change(floor_friction=friction).apply(plant)
         assert slide(plant, 1.0) == pytest.approx(1.0 / (2.0 * friction * 9.81), rel=0.05)
 
 
 def test_mass_changed_at_run_time_is_as_if_built_so() -> None:
     changed, built = plant_model(Box(mass=4.0)), plant_model(Box(mass=6.0))
-    set_box_mass(changed, 6.0)
+    Change(mass=6.0).apply(changed)
     for field in ("body_mass", "body_inertia", "body_invweight0", "dof_invweight0", "body_subtreemass"):
         np.testing.assert_allclose(getattr(changed, field), getattr(built, field), rtol=1e-9, err_msg=field)
 
