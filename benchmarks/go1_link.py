@@ -258,7 +258,8 @@ def _walked_on(changed: Faults) -> float:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    options = EmulatorOptions(find_task("t1"), port=0, mocap="udp", mocap_port=port, slow=_SLOW)
+    slow = Go1Settings(slow=_SLOW)
+    options = EmulatorOptions(find_task("t1"), port=0, mocap="udp", mocap_port=port, settings=slow)
     stop, begun, first = threading.Event(), 0.0, 0
     with Emulator(options, lambda when, sent: received.append((when, sent))) as emulator:
         served = threading.Thread(target=_serve, args=(emulator, stop), daemon=True)

@@ -335,12 +335,10 @@ def emulate(session: Session, given: Given) -> None:
     mocap, mocap_port = given.mocap, given.mocap_port
     chosen = RunOptions(given.task, target="go1", settings=given.overrides.all)
     measured, system = task_and_system(chosen)
-    s = settings_of(system).go1
     pose_port = mocap_port if mocap_port is not None else {"natnet": NATNET_PORT}.get(mocap, UDP_PORT)
     emulated = EmulatorOptions(
-        measured, given.host, given.port, mocap, pose_port, parse_faults(given.fault), s.slow, given.seed,
-        (s.trunk, s.box), (s.trunk_offset, s.box_offset),
-        s.crc,
+        measured, given.host, given.port, mocap, pose_port, parse_faults(given.fault), given.seed,
+        settings_of(system).go1,
     )  # fmt: skip
     with stopping(session) as stopped, Emulator(emulated) as emulator:
         robot, cameras = emulator.address, emulator.mocap_address

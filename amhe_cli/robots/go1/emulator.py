@@ -43,8 +43,9 @@ from amhe_cli.robots.go1.link.packets import (
 from amhe_cli.robots.go1.link.process import Clock
 from amhe_cli.robots.go1.model import plant_model
 from amhe_cli.robots.go1.plant import Plant
-from amhe_cli.robots.go1.poses.gate import NO_OFFSET, Offset, rigid_body
+from amhe_cli.robots.go1.poses.gate import rigid_body
 from amhe_cli.robots.go1.poses.sources import Pose, pose_datagram
+from amhe_cli.robots.go1.settings import Go1Settings, Offset
 from amhe_cli.robots.go1.tasks import Task
 
 
@@ -471,9 +472,6 @@ _BEHIND = 0.1
 _BREATH = 1e-4
 _Y_UP = exp(np.array([-0.5 * np.pi, 0.0, 0.0]))
 
-#: Called with every good command, and when it came [s of the emulator's clock].
-OnCommand = Callable[[float, MotorCommand], None]
-
 
 @dataclass(frozen=True, slots=True)
 class EmulatorOptions:
@@ -485,11 +483,9 @@ class EmulatorOptions:
         mocap: Protocol of the cameras.
         mocap_port: natnet: port on which Motive listens, 0: any; udp: port to which datagrams are sent.
         faults: What goes wrong.
-        slow: How many times slower than the wall clock the emulation runs.
         seed: Seed of the sensors' noise.
-        bodies: Names of trunk and box.
-        offsets: Offsets of both in their rigid bodies, as `go1.trunk_offset` and `go1.box_offset`.
-        crc: Form of the states' checksums; commands are accepted with either.
+        settings: Names and offsets of trunk and box, how slow it runs, and the states' checksums; commands
+            are accepted with either form.
     """
 
     task: Task
@@ -498,11 +494,8 @@ class EmulatorOptions:
     mocap: Literal["natnet", "udp", "none"] = "natnet"
     mocap_port: int = 1510
     faults: Faults = field(default_factory=Faults)
-    slow: float = 1.0
     seed: int = 0
-    bodies: tuple[str, str] = ("go1", "box")
-    offsets: tuple[Offset, Offset] = (NO_OFFSET, NO_OFFSET)
-    crc: CrcForm = "plain"
+    settings: Go1Settings = field(default_factory=Go1Settings)
 
 
 class Emulator:
@@ -510,22 +503,23 @@ class Emulator:
 
     Args:
         options: What is emulated, and on which ports.
-        on_command: Is called with each command.
+        on_command: Is called with every good command, and when it came [s of the emulator's clock].
 
     Attributes:
         body: The emulated robot and its box.
         lag: Total time by which the emulation has fallen behind the clock [s].
     """
 
-    def __init__(self, options: EmulatorOptions, on_command: OnCommand | None = None) -> None:
-        o, self._faults = options, options.faults
-        self._clock, self._on_command = Clock(o.slow), on_command
-        self._offsets = o.offsets
+    def __init__(
+        self, options: EmulatorOptions, on_command: Callable[[float, MotorCommand], None] | None = None
+    ) -> None:
+        o, s, self._faults, self._on_command = options, options.settings, options.faults, on_command
+        self._clock, self._offsets = Clock(s.slow), (s.trunk_offset, s.box_offset)
         self._driven_since: float | None = None
         self._shown: list[Pose] = []
         self.lag = 0.0
         with ExitStack() as opening:  # a port is given back where a later step fails
-            self._port = opening.enter_context(closing(RobotPort(o.host, o.port, o.faults, o.crc)))
+            self._port = opening.enter_context(closing(RobotPort(o.host, o.port, o.faults, s.crc)))
             self._cameras = opening.enter_context(closing(_cameras(o)))
             self.body = EmulatedBody(o.task, np.random.default_rng(o.seed))
             self._opened = opening.pop_all()
@@ -619,9 +613,10 @@ class _UdpCameras:
 
 
 def _cameras(options: EmulatorOptions) -> _UdpCameras | Motive:
+    names = options.settings.trunk, options.settings.box
     if options.mocap == "natnet":
-        return Motive(options.host, options.mocap_port, options.bodies)
-    return _UdpCameras(options.host, options.mocap_port, options.bodies if options.mocap == "udp" else ())
+        return Motive(options.host, options.mocap_port, names)
+    return _UdpCameras(options.host, options.mocap_port, names if options.mocap == "udp" else ())
 
 
 def _seen(measured: Samples, faults: Faults, offsets: tuple[Offset, Offset]) -> list[Pose]:

@@ -22,8 +22,8 @@ _Share = Annotated[float, Field(gt=0, le=1)]
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 #: x, y, z [m].
 _Point = tuple[_Finite, _Finite, _Finite]
-#: x, y, z [m], then a rotation vector [rad].
-_Offset = tuple[_Finite, _Finite, _Finite, _Finite, _Finite, _Finite]
+#: Place [m] and rotation vector [rad] of the body that carries the markers, in the rigid body's frame.
+Offset = tuple[_Finite, _Finite, _Finite, _Finite, _Finite, _Finite]
 
 
 class TripSettings(SettingsGroup):
@@ -118,9 +118,9 @@ class Go1Settings(SettingsGroup):
     """Name of the trunk's rigid body."""
     box: str = "box"
     """Name of the box's rigid body."""
-    trunk_offset: _Offset = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    trunk_offset: Offset = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     """Trunk frame in the rigid body's frame: position [m], rotation vector [rad]."""
-    box_offset: _Offset = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    box_offset: Offset = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     """Centre of the box in its rigid body's frame: position [m], rotation vector [rad]."""
     world: Literal["trunk", "mocap"] = "trunk"
     """The task's frame: under the trunk along its heading before it stands up, or motion capture's own."""

@@ -311,7 +311,8 @@ def test_the_command_emulates_the_box_that_was_measured(monkeypatch: pytest.Monk
     (seen,) = emulator.call_args.args
     assert seen.task.box.size == pytest.approx((0.6, 0.5, 0.4))
     assert seen.task.box.position == pytest.approx((0.75, 0.0)), "its near face is that of the task's box"
-    assert (seen.bodies[1], tuple(seen.offsets[1]), seen.slow) == ("crate", (0, 0, -0.2, 0, 0, 0), 2.0)
+    given = seen.settings
+    assert (given.box, given.box_offset, given.slow) == ("crate", (0, 0, -0.2, 0, 0, 0), 2.0)
 
 
 @pytest.mark.flaky(reruns=2)

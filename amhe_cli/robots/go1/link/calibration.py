@@ -17,9 +17,9 @@ from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.process import Clock, Opened
 from amhe_cli.robots.go1.model import Box, layout, plant_model
 from amhe_cli.robots.go1.poses.feed import PoseFeed
-from amhe_cli.robots.go1.poses.gate import Offset, up
+from amhe_cli.robots.go1.poses.gate import up
 from amhe_cli.robots.go1.poses.sources import Pose, PoseError
-from amhe_cli.robots.go1.settings import Go1Settings
+from amhe_cli.robots.go1.settings import Go1Settings, Offset
 
 #: Length, width and height of a Go1's trunk, hips and head included [m].
 _TRUNK = np.array([0.6, 0.3, 0.12])

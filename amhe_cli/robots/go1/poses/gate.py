@@ -11,11 +11,8 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.rotations import conjugate, difference, exp, multiply, rotate
 from amhe_cli.robots.go1.kalman import ValueFilter
 from amhe_cli.robots.go1.poses.sources import Pose, PoseError
-from amhe_cli.robots.go1.settings import PoseSettings
+from amhe_cli.robots.go1.settings import Offset, PoseSettings
 
-#: Place [m] and rotation vector [rad] of the body that carries the markers, in the rigid body's frame.
-Offset = tuple[float, float, float, float, float, float]
-NO_OFFSET: Offset = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 #: IMU and cameras may differ by so much about the trunk's up [rad].
 LEVEL = float(np.deg2rad(15.0))
 #: Height of a lying or standing trunk over the floor [m]: what is outside is not in metres, or not the trunk.
