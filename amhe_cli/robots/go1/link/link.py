@@ -118,9 +118,8 @@ class SenderWatch:
             self.report = replace(self.report, phase=Phase.OVER)
 
 
-#: Number of states after which a robot counts as found, and the share of them that must reach us: with a
-#: second program at the same robot it is a half.
-_ENOUGH, _SHARE = 200, 0.8
+#: Number of states after which a robot counts as found.
+_ENOUGH = 200
 _HIGH_LEVEL = 1087
 #: Longest time for the start of a process, and time between two checks whether it has started [s].
 _START, _STEP = 20.0, 0.005
@@ -273,11 +272,6 @@ class Link(Opened):
             raise LinkError(
                 f"nothing answers from {where}: check `host`, the cable, and that this computer has an "
                 "address in the robot's network"
-            )
-        if contact["share"] < _SHARE:
-            raise LinkError(
-                f"only {100 * contact['share']:.0f} % of the robot's states reach this computer: another "
-                "program talks to the robot, or the network loses packets"
             )
         if not contact["complete"]:
             raise LinkError(

@@ -169,8 +169,6 @@ class Contact:
     _echoes: dict[int, list[float]] = field(default_factory=lambda: {DAMPED: [], SERVO: []})
     _turned: float = -1.0
     _good: int = 0
-    _missing: int = 0
-    _tick: int | None = None
     _strange: Counter[tuple[int, str]] = field(default_factory=Counter)
 
     def turn(self, now: float) -> int:
@@ -185,8 +183,6 @@ class Contact:
     def see(self, state: RobotState, arrival: float) -> None:
         """Take in a good state."""
         self._good += 1
-        missing = 0 if self._tick is None else state.tick - self._tick - 1
-        self._missing, self._tick = self._missing + min(missing, _PAUSE), state.tick
         if not self.complete and self._turned >= 0.0 and (state.modes == self.mode).all():
             self._echoes[self.mode].append(arrival - self._turned)
             self._turned = -1.0
@@ -233,7 +229,7 @@ class Contact:
 
     @property
     def report(self) -> dict[str, Any]:
-        """The findings as plain values; `share` is that of the robot's states that arrived, see `Share`."""
+        """The findings as plain values."""
         (size, why), _ = (self._strange.most_common(1) or [((0, ""), 0)])[0]
         return {
             "complete": self.complete,
@@ -241,7 +237,6 @@ class Contact:
             "in_step": self.in_step,
             "round_trip_ms": round(1e3 * self.round_trip, 2),
             "states": self._good,
-            "share": round(self._good / max(self._good + self._missing, 1), 3),
             "strange": sum(self._strange.values()),
             "strange_size": size,
             "strange_why": why,
@@ -438,7 +433,8 @@ class Sender:
         looked_at = machine.phase == Phase.CONNECT and self._contact.complete
         self._pipe.send(
             SenderReport(
-                machine.phase, machine.trip, machine.reason, self._contact.report, self._robot.refused,
+                machine.phase, machine.trip, machine.reason,
+                self._contact.report | {"share": self._inbox.share}, self._robot.refused,
                 self._intervals.summary() if machine.phase >= Phase.PAUSE else {},
                 self._inbox.state, self._realtime, machine.unfit(now, self._inbox) if looked_at else "",
             )

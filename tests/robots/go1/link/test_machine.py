@@ -408,14 +408,3 @@ def test_a_computer_that_once_stands_still_does_not_change_the_robots_pace(pace:
         if time > 1.0:
             assert contact.pace == pytest.approx(pace, rel=0.02)
             assert contact.in_step == (pace == 1.0)
-
-
-@pytest.mark.parametrize(("every", "pause", "share"), [(1, 300, 0.98), (2, 0, 0.5), (1, 0, 1.0)])
-def test_states_that_one_pause_loses_are_not_those_of_a_second_program(
-    every: int, pause: int, share: float
-) -> None:
-    contact, state = Contact(), a_state()
-    for tick in range(0, 700, every):
-        if not 200 <= tick < 200 + pause:
-            contact.see(replace(state, tick=tick), 0.001 * tick)
-    assert contact.report["share"] == pytest.approx(share, abs=0.01)
