@@ -36,12 +36,12 @@ def multiply(a: FloatArray, b: FloatArray) -> FloatArray:
 def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
     """Rotate vectors v (..., 3) by unit quaternions q (..., 4): child frame to parent frame."""
     w, xyz = q[..., :1], q[..., 1:]
-    t = 2.0 * _cross(xyz, v)
-    return v + w * t + _cross(xyz, t)
+    t = 2.0 * cross(xyz, v)
+    return v + w * t + cross(xyz, t)
 
 
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Cross product over the last axis; `np.cross` takes five times as long for a single vector."""
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Cross product of vectors (..., 3); `np.cross` takes five times as long for a single vector."""
     ax, ay, az = _components(a)
     bx, by, bz = _components(b)
     return _joined(ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx)

@@ -19,6 +19,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, columns, sealed
 from amhe_cli.core.log import Samples
+from amhe_cli.core.rotations import cross
 from amhe_cli.robots.go1 import kinematics as legs
 from amhe_cli.robots.go1.kalman import Turn, ValueFilter
 from amhe_cli.robots.go1.state import Body, SensorNoise, State
@@ -168,15 +169,8 @@ def trunk_velocities(
     places, after, before = legs.feet(joints + _INSTANT * joint_rates)
     bends = rates[..., 1] + rates[..., 2]
     calves = columns(hips.shape, rates[..., 0], bends * np.cos(hips), bends * np.sin(hips))
-    turning = _cross(gyro[:, None], places + down) + _cross(calves, down)
+    turning = cross(gyro[:, None], places + down) + cross(calves, down)
     return (before - after) / (2.0 * _DT) - turning
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Like `np.cross` of vectors (..., 3), which takes twice as long for few of them."""
-    ax, ay, az, bx, by, bz = (v[..., i] for v in (a, b) for i in range(3))
-    x = ay * bz - az * by
-    return columns(x.shape, x, az * bx - ax * bz, ax * by - ay * bx)
 
 
 #: Poses that come later than this are left out; joints are not extrapolated any further than that [s].
@@ -240,16 +234,11 @@ class StateEstimator:
         self._gyro: ValueFilter | None = None
         self._spins = np.empty((0, 4))
 
-    @property
-    def ready(self) -> bool:
-        """Whether trunk, box and joints have each been measured once."""
-        return not (self._trunk is None or self._box is None or self._joints is None)
-
     def update(self, time: float, measured: Samples) -> State:
         """Take in the measurements since the last call, and estimate the state at a time [s].
 
         Raises:
-            ValueError: The estimator is not `ready`; the measurements are taken in nevertheless.
+            ValueError: See `state`; the measurements are taken in nevertheless.
         """
         self.observe(measured)
         return self.state(time)
@@ -266,7 +255,7 @@ class StateEstimator:
         """Robot and box at a time [s], from all measurements so far.
 
         Raises:
-            ValueError: The estimator is not `ready`.
+            ValueError: Trunk, box and joints have not each been measured once.
         """
         if self._trunk is None or self._box is None or self._joints is None or self._gyro is None:
             raise ValueError("no state yet: trunk, box and joints must each have been measured once")
