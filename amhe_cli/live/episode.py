@@ -57,20 +57,37 @@ class Cycle:
         return self.estimate.time
 
 
-class BeliefSource(Protocol):
-    """The parameters that the controller plans with."""
+class BeliefSource:
+    """The parameters that the controller plans with; estimates change them only between two plans.
 
-    def at(self, time: float) -> dict[str, float]:
-        """Parameters by name, at a time [s]."""
-        ...
+    Args:
+        parameters: Returns the parameters by name: fixed ones, or those of a plant at the moment.
+        tracker: The estimator whose newest estimate replaces them; None: nothing is estimated.
+    """
+
+    def __init__(self, parameters: Callable[[], Mapping[str, float]], tracker: Tracker | None = None) -> None:
+        self._parameters, self._tracker = parameters, tracker
+        self._estimated: dict[str, float] = {}
+
+    @property
+    def now(self) -> dict[str, float]:
+        """Parameters by name, at present: line 9 of Algorithm 1."""
+        return {**self._parameters(), **self._estimated}
 
     def learn(self, cycle: Cycle) -> tuple[News, ...]:
         """Take in a cycle; returns the estimates and troubles for the next."""
-        ...
+        if self._tracker is None:
+            return ()
+        news = self._tracker.feed(cycle.samples, cycle.time, begin=not cycle.hurried)
+        for estimate in news:
+            if isinstance(estimate, Estimate):
+                self._estimated |= zip(estimate.belief.names, estimate.theta.tolist(), strict=True)
+        return news
 
     def close(self) -> None:
         """Release its resources; it is not used any more."""
-        ...
+        if self._tracker is not None:
+            self._tracker.close()
 
 
 class EpisodeJudge(Protocol):
@@ -120,7 +137,7 @@ class Episode:
                 due -= aside  # what is done after a plan must not take the time of the next
             estimate = self.observe(now, measured)
             played = self.target.in_force(now)
-            belief = self.belief.at(now)
+            belief = self.belief.now
             plan = self.controller.plan(estimate, played, belief, due)
             self.target.play(plan)  # before anything else takes time
             handed_over = time.monotonic()
@@ -139,52 +156,3 @@ class Episode:
             aside = remembered(aside, time.monotonic() - handed_over)
             if over:
                 return
-
-
-class FixedBelief:
-    """The same parameters all the time, or those of a plant as they are at the moment.
-
-    Args:
-        parameters: Returns the parameters by name.
-    """
-
-    def __init__(self, parameters: Callable[[], dict[str, float]]) -> None:
-        self._parameters = parameters
-
-    def at(self, time: float) -> dict[str, float]:
-        """See `BeliefSource`."""
-        return self._parameters()
-
-    def learn(self, cycle: Cycle) -> tuple[News, ...]:
-        """See `BeliefSource`."""
-        return ()
-
-    def close(self) -> None:
-        """See `BeliefSource`."""
-
-
-class AdaptiveBelief:
-    """The newest estimate; it changes only between two plans.
-
-    Args:
-        start: Parameters by name before the first estimate.
-    """
-
-    def __init__(self, start: Mapping[str, float], tracker: Tracker) -> None:
-        self._belief, self._tracker = dict(start), tracker
-
-    def at(self, time: float) -> dict[str, float]:
-        """See `BeliefSource`: line 9 of Algorithm 1."""
-        return dict(self._belief)
-
-    def learn(self, cycle: Cycle) -> tuple[News, ...]:
-        """See `BeliefSource`."""
-        news = self._tracker.feed(cycle.samples, cycle.time, begin=not cycle.hurried)
-        for estimate in news:
-            if isinstance(estimate, Estimate):
-                self._belief |= zip(estimate.belief.names, estimate.theta.tolist(), strict=True)
-        return news
-
-    def close(self) -> None:
-        """See `BeliefSource`."""
-        self._tracker.close()

@@ -176,7 +176,7 @@ def test_the_true_belief_switches_with_the_plant(monkeypatch: pytest.MonkeyPatch
 def test_a_mode_s_belief(task: str, mode: str, mass: float, friction: float) -> None:
     belief = {"box_mass": mass, "box_inertia_scale": 1.0, "floor_friction": friction}
     run = opened(task, mode=mode)
-    believed = run.episode.belief.at(0.0)
+    believed = run.episode.belief.now
     assert believed == pytest.approx(belief)
     assert tuple(believed) == run.system.space.names
     assert box_friction(believed) == pytest.approx(mass * friction * 9.81)

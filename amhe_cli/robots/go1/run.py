@@ -31,7 +31,7 @@ from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import MovingHorizon, check_window
 from amhe_cli.estimation.online.tracker import Tracker
 from amhe_cli.estimation.online.workers import PATIENCE, InProcess, InStep
-from amhe_cli.live.episode import AdaptiveBelief, BeliefSource, Episode, FixedBelief
+from amhe_cli.live.episode import BeliefSource, Episode
 from amhe_cli.live.recorder import Recorder
 from amhe_cli.live.target import SimTarget, Target
 from amhe_cli.robots.go1.behaviours.gait import Gait
@@ -349,20 +349,20 @@ def belief_source(
         if options.belief is not None:
             raise ConfigError("`mode=true` believes the plant's own parameters; leave out `belief`")
         nominal = system.space.named(system.space.nominal)  # of what is asked for beside the box
-        return FixedBelief(lambda: nominal | plant.parameters)
+        return BeliefSource(lambda: nominal | plant.parameters)
     if not {"box_mass", "floor_friction"} <= set(system.space.names):
         raise ConfigError("`unknowns`: a run learns box_mass and floor_friction; ask for `box` too")
     start = _start_belief(options, task, system)
     fixed = system.space.named(start.estimate)
     if options.mode != "adaptive":
-        return FixedBelief(lambda: fixed)
+        return BeliefSource(lambda: fixed)
     mhe = system.settings.mhe
     check_window(mhe, system.model.opt.timestep)
     factory = partial(estimator_of, options, start)
     budget = slow * (mhe.budget or mhe.update_period)
     live = _live(options, system)
     worker = InProcess(factory, budget, slow * PATIENCE) if live else InStep(factory, mhe.latency)
-    return AdaptiveBelief(fixed, Tracker(system, worker))
+    return BeliefSource(lambda: fixed, Tracker(system, worker))
 
 
 def estimator_of(options: RunOptions, start: Belief, belief: Belief | None = None) -> MovingHorizon:
