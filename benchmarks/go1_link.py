@@ -190,7 +190,7 @@ class Robot:
     def __init__(self, plan: bool = False) -> None:
         self.received: list[tuple[float, MotorCommand]] = []
         options = EmulatorOptions(find_task("t1"), port=0, mocap="none")
-        self.emulator = Emulator(options, lambda when, sent: self.received.append((when, sent)))
+        self.emulator = Emulator(options, lambda when, sent: self.received.append((when, sent))).__enter__()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=_serve, args=(self.emulator, self._stop), daemon=True)
         self._thread.start()

@@ -17,7 +17,7 @@ import struct
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, fields, replace
 from typing import Literal
 
@@ -40,12 +40,12 @@ from amhe_cli.robots.go1.link.packets import (
     encode_state,
     pressing,
 )
-from amhe_cli.robots.go1.link.process import Clock
+from amhe_cli.robots.go1.link.process import Clock, Opened
 from amhe_cli.robots.go1.model import plant_model
 from amhe_cli.robots.go1.plant import Plant
 from amhe_cli.robots.go1.poses.gate import rigid_body
 from amhe_cli.robots.go1.poses.sources import Pose, pose_datagram
-from amhe_cli.robots.go1.settings import Go1Settings, Offset
+from amhe_cli.robots.go1.settings import Go1Settings
 from amhe_cli.robots.go1.tasks import Task
 
 
@@ -125,6 +125,7 @@ def _one(values: FloatArray, value: float) -> FloatArray:
 
 
 _TELLING: dict[str, Callable[[RobotState], RobotState]] = {
+    "stale": lambda state: replace(state, tick=1),
     "remote": lambda state: replace(state, remote=pressing("L2", "B")),
     "hot": lambda state: replace(state, temperatures=_one(state.temperatures, 95.0)),
     "mode": lambda state: replace(state, modes=_one(state.modes.astype(float), 8.0).astype(int)),
@@ -172,6 +173,7 @@ class RobotPort:
         crc: Form of the states' checksums.
 
     Attributes:
+        faults: What goes wrong.
         command: The newest good command; before the first, one that does nothing in damping mode.
         accepted, rejected: Number of datagrams so far.
         undisturbed: Loss, duplicates, damage and delay have not begun.
@@ -196,8 +198,8 @@ class RobotPort:
         return self._socket.getsockname()
 
     def cause(self, faults: Faults) -> None:
-        """Replace the faults on the way from now on."""
-        self._faults, self._rng = faults, np.random.default_rng(1)
+        """Replace the faults from now on."""
+        self.faults, self._rng = faults, np.random.default_rng(1)
 
     def receive(self, now: float) -> list[MotorCommand]:
         """Good commands that have come by a time [s]."""
@@ -216,7 +218,7 @@ class RobotPort:
         """Send a state to the last sender."""
         if self.peer is None:
             return
-        self._delay(now, False, _HIGH_LEVEL if self._faults.high else encode_state(reported, self._crc))
+        self._delay(now, False, _HIGH_LEVEL if self.faults.high else encode_state(reported, self._crc))
         self._deliver(now)
 
     def close(self) -> None:
@@ -226,13 +228,13 @@ class RobotPort:
     def _delay(self, now: float, inward: bool, datagram: bytes) -> None:
         copies, delay = [datagram], 0.0
         if not self.undisturbed:
-            copies, delay = self._copies(datagram, inward), self._faults.delay
+            copies, delay = self._copies(datagram, inward), self.faults.delay
         for copy in copies:
             heapq.heappush(self._waiting, (now + delay, next(self._order), inward, copy))
 
     def _copies(self, datagram: bytes, inward: bool) -> list[bytes]:
         """What arrives of a datagram, by chance: nothing, itself, itself twice, or something else."""
-        f = self._faults
+        f = self.faults
         lost, doubled, damaged = self._rng.random(3)
         if lost < f.loss:
             return []
@@ -498,7 +500,7 @@ class EmulatorOptions:
     settings: Go1Settings = field(default_factory=Go1Settings)
 
 
-class Emulator:
+class Emulator(Opened):
     """Robot, box and cameras, served until `stopped`; use it as a context manager.
 
     Args:
@@ -513,22 +515,19 @@ class Emulator:
     def __init__(
         self, options: EmulatorOptions, on_command: Callable[[float, MotorCommand], None] | None = None
     ) -> None:
-        o, s, self._faults, self._on_command = options, options.settings, options.faults, on_command
-        self._clock, self._offsets = Clock(s.slow), (s.trunk_offset, s.box_offset)
+        self._options, self._on_command = options, on_command
+        self._clock = Clock(options.settings.slow)
         self._driven_since: float | None = None
         self._shown: list[Pose] = []
         self.lag = 0.0
-        with ExitStack() as opening:  # a port is given back where a later step fails
-            self._port = opening.enter_context(closing(RobotPort(o.host, o.port, o.faults, s.crc)))
-            self._cameras = opening.enter_context(closing(_cameras(o)))
-            self.body = EmulatedBody(o.task, np.random.default_rng(o.seed))
-            self._opened = opening.pop_all()
 
-    def __enter__(self) -> Emulator:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._opened.close()
+    def _open(self, opening: ExitStack) -> None:
+        o = self._options
+        self._port = RobotPort(o.host, o.port, o.faults, o.settings.crc)
+        opening.callback(self._port.close)
+        self._cameras = _cameras(o)
+        opening.callback(self._cameras.close)
+        self.body = EmulatedBody(o.task, np.random.default_rng(o.seed))
 
     @property
     def address(self) -> tuple[str, int]:
@@ -547,7 +546,6 @@ class Emulator:
 
     def cause(self, faults: Faults) -> None:
         """Replace the faults from now on."""
-        self._faults = faults
         self._port.cause(faults)
 
     def serve(self, stopped: Callable[[], bool]) -> None:
@@ -577,15 +575,13 @@ class Emulator:
                 self._driven_since = self.body.time
         state, measured = self.body.obey(self._port.command)
         driven = -1.0 if self._driven_since is None else self.body.time - self._driven_since
-        faults = self._faults
+        faults = self._port.faults
         self._port.undisturbed = driven < faults.after
-        if driven >= faults.stale:
-            state = replace(state, tick=1)
         if driven < faults.silence:
             self._port.send(faults.reported(state, driven), now)
         self._cameras.serve(now)
         if len(measured["trunk.position"][0]) and driven < faults.mocap:
-            seen, stays = _seen(measured, faults, self._offsets), (faults.frozen, faults.frozen_box)
+            seen, stays = _seen(measured, faults, self._options.settings), (faults.frozen, faults.frozen_box)
             for number, since in enumerate(stays):
                 if driven >= since:
                     seen[number] = self._shown[number]
@@ -619,13 +615,12 @@ def _cameras(options: EmulatorOptions) -> _UdpCameras | Motive:
     return _UdpCameras(options.host, options.mocap_port, names if options.mocap == "udp" else ())
 
 
-def _seen(measured: Samples, faults: Faults, offsets: tuple[Offset, Offset]) -> list[Pose]:
+def _seen(measured: Samples, faults: Faults, settings: Go1Settings) -> list[Pose]:
     """Poses of what is named trunk and box, in the cameras' frame."""
     poses = [
-        (measured[f"{body}.position"][1][-1], measured[f"{body}.orientation"][1][-1])
-        for body in ("trunk", "box")
+        rigid_body((measured[f"{body}.position"][1][-1], measured[f"{body}.orientation"][1][-1]), offset)
+        for body, offset in (("trunk", settings.trunk_offset), ("box", settings.box_offset))
     ]
-    poses = [rigid_body(pose, offset) for pose, offset in zip(poses, offsets, strict=True)]
     if faults.swap:
         poses.reverse()
     if faults.yup:

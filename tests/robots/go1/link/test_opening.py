@@ -164,8 +164,9 @@ def test_an_emulator_that_cannot_open_gives_its_ports_back(
         mocap = other.getsockname()[1] if step == "cameras" else 0
         if step == "body":
             monkeypatch.setattr("amhe_cli.robots.go1.emulator.EmulatedBody", fail)
-        with pytest.raises(AmheError, match="cannot be had|no body") as raised:
-            Emulator(EmulatorOptions(find_task("t1"), port=port, mocap_port=mocap))
+        emulator = Emulator(EmulatorOptions(find_task("t1"), port=port, mocap_port=mocap))
+        with pytest.raises(AmheError, match="cannot be had|no body") as raised, emulator:
+            pass
         assert not taken(port), raised.value
     if step == "cameras":
         assert "give this one `mocap_port` and its `amhe run` the same `pose_port`" in str(raised.value)
