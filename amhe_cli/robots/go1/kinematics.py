@@ -30,9 +30,8 @@ _ASIDE = sealed(HIP_OFFSET * SIDE)
 LINK = 0.213
 FOOT_RADIUS = 0.023
 
-#: Joint angles of one leg at home [rad], and of all legs.
-HOME_LEG = sealed([0.0, 0.9, -1.8])
-HOME = sealed(np.tile(HOME_LEG, 4))
+#: Joint angles at home [rad], shape (12,).
+HOME = sealed(np.tile([0.0, 0.9, -1.8], 4))
 #: Height of the trunk over the floor with straight-standing legs at home [m].
 HOME_HEIGHT = 2.0 * LINK * float(np.cos(0.9)) + FOOT_RADIUS
 

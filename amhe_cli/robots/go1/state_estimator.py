@@ -10,7 +10,7 @@ Nothing is assumed of the box: it may lift or tilt. The accelerometer is not use
 from __future__ import annotations
 
 from bisect import bisect
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite, sqrt
 from typing import NamedTuple
@@ -96,11 +96,6 @@ class SensorSamples:
             rows = rows[np.unique(times[rows], return_index=True)[1]]
         table = table[rows]
         return SensorSamples(table, standing(times)[rows], np.concatenate((before[-2:], table[:, _SPIN])))
-
-    def rows(self) -> Iterator[tuple[float, FloatArray, FloatArray, FloatArray]]:
-        """Time [s], joints (12,), their rates (12,) and gyro (3,) of one sample after the other."""
-        for time, row in zip(self.table[:, 0].tolist(), self.table, strict=True):
-            yield time, row[_JOINTS], row[_RATES], row[_GYRO]
 
 
 class Gyro:
@@ -267,7 +262,8 @@ class StateEstimator:
     def _see_joints(self, samples: SensorSamples) -> None:
         """Take in joints, and the trunk's angular velocity by the gyro."""
         noise = self._noise
-        for time, joints, rates, spin in samples.rows():
+        for time, row in zip(samples.table[:, 0].tolist(), samples.table, strict=True):
+            joints, rates, spin = row[_JOINTS], row[_RATES], row[_GYRO]
             if self._joints is None or self._gyro is None:
                 self._joints = ValueFilter(
                     time, joints, rates, noise.joint**2, noise.joint_rate**2, noise.joint_drive

@@ -99,7 +99,9 @@ def _shared_terms(
     w: Weights, trunk: Body, box: Body, height: float, at: Reference, turned: FloatArray | float
 ) -> dict[str, FloatArray]:
     """Terms of all behaviours, each (..., H); `turned` [rad] is how far the references have turned."""
-    speed, drift = along_line(box, at, turned)
+    c, s = np.cos(at.heading + turned), np.sin(at.heading + turned)
+    speed = c * box.velocity[..., 0] + s * box.velocity[..., 1]
+    drift = c * (box.position[..., 1] - at.origin[1]) - s * (box.position[..., 0] - at.origin[0])
     return {
         "box_speed": at.pushing * w.box_speed * (speed - at.speed) ** 2,
         "box_left": w.box_left * drift**2,
@@ -107,15 +109,6 @@ def _shared_terms(
         "height": w.height * (trunk.position[..., 2] - height) ** 2,
         "tilt": w.tilt * tilt_squared(trunk.orientation),
         "box_tilt": w.box_tilt * tilt_squared(box.orientation),
-    }
-
-
-def lean_terms(weights: SweepWeights, trunk: Body, lean: FloatArray) -> dict[str, FloatArray]:
-    """Terms of a trunk that should be at a place and heading `lean` (3,) in the world, each (..., H)."""
-    off = ((trunk.position[..., :2] - lean[:2]) ** 2).sum(axis=-1)
-    return {
-        "trunk_place": weights.trunk_place * off,
-        "trunk_turn": weights.trunk_turn * wrapped(trunk.yaw - lean[2]) ** 2,
     }
 
 
@@ -148,20 +141,6 @@ def push_terms(
         "robot_left": w.robot_left * (left - at.offset) ** 2,
         "yaw": w.yaw * wrapped(trunk.yaw - at.yaw - turned) ** 2,
     }
-
-
-def along_line(box: Body, at: Reference, turned: FloatArray | float) -> tuple[FloatArray, FloatArray]:
-    """Speed of the box along the reference's heading [m/s], and its distance left of it [m], each (...).
-
-    Args:
-        box: Motion of the box.
-        at: What robot and box should do.
-        turned: How far the heading has turned since the reference was made [rad].
-    """
-    c, s = np.cos(at.heading + turned), np.sin(at.heading + turned)
-    speed = c * box.velocity[..., 0] + s * box.velocity[..., 1]
-    drift = c * (box.position[..., 1] - at.origin[1]) - s * (box.position[..., 0] - at.origin[0])
-    return speed, drift
 
 
 def bumper_from_box(trunk: Body, box: Body) -> tuple[FloatArray, FloatArray]:

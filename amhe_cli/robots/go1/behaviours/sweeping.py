@@ -31,12 +31,11 @@ from amhe_cli.robots.go1.behaviours.objective import (
     Course,
     Reference,
     SweepWeights,
-    lean_terms,
     limited,
     sweep_terms,
 )
 from amhe_cli.robots.go1.kinematics import FOOT_RADIUS, feet
-from amhe_cli.robots.go1.state import Body, Plane, State
+from amhe_cli.robots.go1.state import Body, Plane, State, wrapped
 
 #: Places of the free leg among the four, and of the two at the ends of the long side of their triangle.
 FREE, _FRONT, _REAR = 0, 1, 2
@@ -239,10 +238,12 @@ class SweepMove:
 
     def terms(self, times: FloatArray, bodies: tuple[Body, Body]) -> dict[str, FloatArray]:
         """See `Move`."""
-        trunk, box = bodies
-        owner = self.owner
-        terms = sweep_terms(owner.weights, trunk, box, owner.trunk_height, self.reference)
-        return terms | lean_terms(owner.weights, trunk, self.lean)
+        (trunk, box), owner = bodies, self.owner
+        off = ((trunk.position[..., :2] - self.lean[:2]) ** 2).sum(axis=-1)
+        return sweep_terms(owner.weights, trunk, box, owner.trunk_height, self.reference) | {
+            "trunk_place": owner.weights.trunk_place * off,
+            "trunk_turn": owner.weights.trunk_turn * wrapped(trunk.yaw - self.lean[2]) ** 2,
+        }
 
 
 @dataclass(slots=True, eq=False)

@@ -24,7 +24,6 @@ from amhe_cli.robots.go1.behaviours.objective import (
     push_terms,
     sweep_terms,
     tilt_squared,
-    wrapped,
 )
 from amhe_cli.robots.go1.behaviours.walking import Walking
 from amhe_cli.robots.go1.kinematics import HOME
@@ -37,7 +36,7 @@ from amhe_cli.robots.go1.probing.motions import (
     Segment,
     named_motion,
 )
-from amhe_cli.robots.go1.state import Body, State
+from amhe_cli.robots.go1.state import Body, State, wrapped
 from amhe_cli.robots.go1.tasks import find_task
 
 FEW = settings(max_examples=25, deadline=None)
