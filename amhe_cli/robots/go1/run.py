@@ -224,7 +224,7 @@ def open_run(options: RunOptions, task: Task | None = None) -> Run:
     named = task or find_task(options.task)
     task, system = task_and_system(options, named)
     settings = settings_of(system).control
-    start, sensors, samples = (generator(options.seed, use) for use in ("start", "sensors", "samples"))
+    start, sensors = (generator(options.seed, use) for use in ("start", "sensors"))
     shape, robot = find_plant(options.plant)
     box = _moved(task, start)
     if shape.box != (1.0, 1.0, 1.0):  # it has its own size, whatever the user states
@@ -236,7 +236,7 @@ def open_run(options: RunOptions, task: Task | None = None) -> Run:
     beside = {name: value for name, value in sizes.items() if name in system.space.names}
     plant = Plant(model, task.changes, sensors, start=first, shape=shape, beside=beside)
     target = SimTarget(plant, settings.period, HOME, settings.realtime, latency_of(system))
-    return run_on(options, task, system, target, plant, samples, options.threads)
+    return run_on(options, task, system, target, plant)
 
 
 def run_on(
@@ -245,13 +245,11 @@ def run_on(
     system: System,
     target: Target,
     plant: Plant | None,
-    samples: np.random.Generator,
-    threads: int,
     slow: float = 1.0,
 ) -> Run:
-    """A run of a task on a target; arguments as of `Run`, `controller_for` and `belief_source`."""
+    """A run of a task on a target; arguments as of `Run` and `belief_source`."""
     behaviour = task.behaviour(gait_of(system))
-    controller = controller_for(options, task, behaviour, system, samples, threads)
+    controller = controller_for(options, task, behaviour, system)
     judge = Judge(task, behaviour.running_cost, settings_of(system).control.period, options.duration)
     belief = belief_source(options, task, system, plant, slow)
     observe = StateEstimator(behaviour.standing).update
@@ -282,27 +280,20 @@ def as_measured(task: Task, system: System) -> Task:
     return replace(task, box=replace(box, position=place), path=replace(task.path, start=place))
 
 
-def controller_for(
-    options: RunOptions,
-    task: Task,
-    behaviour: Behaviour,
-    system: System,
-    samples: np.random.Generator,
-    threads: int,
-) -> Controller:
+def controller_for(options: RunOptions, task: Task, behaviour: Behaviour, system: System) -> Controller:
     """The controller of a task, with the planner's model of its box."""
     settings = settings_of(system).control
     planner = planner_model(task.box, timestep=settings.period / settings.substeps)
     fast = without_dry_friction(system)
-    engine = open_engine(fast, threads=threads, kind=options.engine, model=planner, sensors=False)
+    engine = open_engine(fast, threads=options.threads, kind=options.engine, model=planner, sensors=False)
     # its simulations are made now: the first plan at a robot would take twice the time of the others
     n, inputs = settings.samples, np.zeros((settings.samples, 1, planner.nu))
     theta = np.tile(system.space.nominal, (n, 1))
     engine.rollout(theta, planner.qpos0, np.zeros(planner.nv), inputs, np.ones(n, dtype=np.int64))
     reflex = Resistance() if options.mode == "adaptive" and task.pushes and settings.reflex else None
     return Controller(
-        behaviour, layout(planner), settings.joint_sigma, engine, settings, system.space.names, samples,
-        corrected=reflex,
+        behaviour, layout(planner), settings.joint_sigma, engine, settings, system.space.names,
+        generator(options.seed, "samples"), corrected=reflex,
     )  # fmt: skip
 
 

@@ -20,7 +20,7 @@ from amhe_cli.robots.go1.link.process import Clock, planning_first
 from amhe_cli.robots.go1.link.target import Go1Target
 from amhe_cli.robots.go1.poses.feed import KINDS, PoseFeed
 from amhe_cli.robots.go1.poses.sources import NATNET_PORT, UDP_PORT
-from amhe_cli.robots.go1.run import Run, RunOptions, generator, latency_of, run_on, task_and_system
+from amhe_cli.robots.go1.run import Run, RunOptions, latency_of, run_on, task_and_system
 from amhe_cli.robots.go1.settings import Go1Settings, settings_of
 from amhe_cli.robots.go1.tasks import Task
 
@@ -126,10 +126,9 @@ def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = Non
     clock = _clock(wire, settings)
     link, feed = Link(wire.host, wire.port, settings, clock, wire.keys), _feed(wire, settings)
     target = Go1Target(link, feed, settings, clock, period, task.box, latency_of(system))
-    samples = generator(options.seed, "samples")
     with planning_first() as (cores, _):  # the threads of its rollouts, too
-        threads = min(options.threads, cores)
-        return run_on(options, task, system, target, None, samples, threads, settings.slow)
+        options = replace(options, threads=min(options.threads, cores))
+        return run_on(options, task, system, target, None, settings.slow)
 
 
 def open_calibration(options: RunOptions, wire: WireOptions) -> Calibration:
