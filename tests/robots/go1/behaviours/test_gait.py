@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from amhe_cli.core.errors import ConfigError
 from amhe_cli.robots.go1 import kinematics as legs
 from amhe_cli.robots.go1.behaviours.gait import (
     CENTRE_OF_MASS,
@@ -86,11 +85,6 @@ def test_feet_in_the_air_carry_nothing() -> None:
     assert (reference.forces[~contacts(GAIT, times)] == 0.0).all()
     assert (reference.forces[..., 2] >= 0.0).all()
     np.testing.assert_allclose(reference.forces[..., 2].sum(axis=-1), WEIGHT)
-
-
-def test_a_gait_that_cannot_be_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"duty of 0\.5 to 1; got 0\.5, 60 and 0\.3"):
-        Gait(duty=0.3)
 
 
 def test_it_walks_as_commanded_in_the_plant(plant: mujoco.MjModel) -> None:
