@@ -26,8 +26,6 @@ from amhe_cli.logs import Fields, LogWriter, read_topic
 from amhe_cli.logs.messages.writer import ERROR, OK, WARN, message_type, write_samples
 
 PLAN, TIMING = "amhe_msgs/msg/Plan", "amhe_msgs/msg/Timing"
-#: Topics whose content does not depend on the seed alone.
-WALL_CLOCK = ("/amhe/timing", "/diagnostics")
 
 _PLAN = """\
 std_msgs/Header header
@@ -59,7 +57,7 @@ _TYPES = (
     PLAN, TIMING, estimates.ESTIMATE,
 )  # fmt: skip
 #: Longest time between two messages of content that changes seldom, and of content that never changes [s].
-SELDOM, NEVER = 0.1, 1.0
+_SELDOM, _NEVER = 0.1, 1.0
 
 
 class Recorder:
@@ -85,7 +83,7 @@ class Recorder:
             message_type(signal)
         self._log = LogWriter(path, metadata)
         self._signals, self._attachments = signals, dict(attachments)
-        self._throttle = Throttle()
+        self._written: dict[str, tuple[float, object]] = {}
         self._misses = 0
 
     def __enter__(self) -> Recorder:
@@ -127,7 +125,7 @@ class Recorder:
 
     def _beliefs(self, cycle: Cycle) -> None:
         for topic, values in (("/amhe/params", cycle.belief), ("/amhe/truth", cycle.parameters)):
-            if values is not None and self._throttle.due(topic, cycle.time, SELDOM, values):
+            if values is not None and self._due(topic, cycle.time, _SELDOM, values):
                 self._log.joint_state(topic, stamp_ns(cycle.time), values, list(values.values()))
 
     def _news(self, cycle: Cycle) -> None:
@@ -142,7 +140,7 @@ class Recorder:
     def _plan(self, cycle: Cycle) -> None:
         """Write how planning went; its time is by the wall clock, unlike all else in a log."""
         log, stamp, step = self._log, stamp_ns(cycle.time), cycle.plan.step
-        if self._throttle.due("/diagnostics", cycle.time, NEVER):
+        if self._due("/diagnostics", cycle.time, _NEVER):
             text, level = ("late", WARN) if cycle.misses > self._misses else ("planning in time", OK)
             self._misses = cycle.misses
             values = {"plan ms": f"{cycle.plan_ms:.1f}", "deadline misses": str(cycle.misses)}
@@ -164,20 +162,13 @@ class Recorder:
         timing = {"plan_ms": cycle.plan_ms, "deadline_misses": cycle.misses}
         log.write("/amhe/timing", TIMING, stamp, timing)
 
-
-class Throttle:
-    """Says which topics are due: those not written for some time, or whose content has changed."""
-
-    def __init__(self) -> None:
-        self._written: dict[str, tuple[float, object]] = {}
-
-    def due(self, topic: str, time: float, period: float, content: object = None) -> bool:
+    def _due(self, topic: str, time: float, period: float, content: object = None) -> bool:
         """Whether to write a topic now; True counts as written.
 
         Args:
             time: Present time [s].
             period: Longest time between two messages [s].
-            content: What would be written; compared with the last content.
+            content: What would be written; other content than the last is due at once.
         """
         if topic in self._written:
             last, before = self._written[topic]
