@@ -216,13 +216,10 @@ class StateEstimator:
 
     Args:
         standing: Function that says which feet should stand at times [s] (m,), shape (m, 4).
-        noise: Noise of sensors and motion.
     """
 
-    def __init__(
-        self, standing: Callable[[FloatArray], BoolArray], noise: EstimatorNoise = EstimatorNoise()
-    ) -> None:
-        self._standing, self._noise = standing, noise
+    def __init__(self, standing: Callable[[FloatArray], BoolArray]) -> None:
+        self._standing, self._noise = standing, EstimatorNoise()
         self._trunk: _Filters | None = None
         self._box: _Filters | None = None
         self._joints: ValueFilter | None = None

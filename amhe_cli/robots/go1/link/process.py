@@ -21,8 +21,8 @@ from typing import Any, Self
 
 from amhe_cli.robots.go1.link.packets import LinkError
 
-#: The robot's clock begins again after so many ticks.
-_TICKS = 2**32
+#: The robot's clock begins again after so many ticks; a delay is forgotten after one or two of these [s].
+_TICKS, _REMEMBERED = 2**32, 2.0
 
 
 def ticks_ahead(tick: int, before: int) -> int:
@@ -55,13 +55,9 @@ class ClockMap:
 
     A message cannot arrive before it was sent, and some are hardly delayed: the least difference of arrival
     and stamp is the offset. It is estimated continually, since clocks drift.
-
-    Args:
-        window: A delay is forgotten after one or two of these [s].
     """
 
-    def __init__(self, window: float = 2.0) -> None:
-        self._window = window
+    def __init__(self) -> None:
         self._until = -math.inf
         self._last = self._least = math.inf
 
@@ -73,8 +69,8 @@ class ClockMap:
     def see(self, stamp: float, arrival: float) -> float:
         """Take in a message; its stamp on our clock [s], late by the shortest delay of a message so far."""
         if arrival > self._until:
-            self._last = self._least if arrival < self._until + self._window else math.inf
-            self._least, self._until = math.inf, arrival + self._window
+            self._last = self._least if arrival < self._until + _REMEMBERED else math.inf
+            self._least, self._until = math.inf, arrival + _REMEMBERED
         self._least = min(self._least, arrival - stamp)
         return stamp + min(self._least, self._last)
 
