@@ -31,7 +31,7 @@ from amhe_cli.robots.go1.kinematics import (
     TORQUE_LIMIT,
     UPPER,
 )
-from amhe_cli.robots.go1.state import Layout
+from amhe_cli.robots.go1.state import ModelLayout
 from amhe_cli.system.description.folders import find_system
 from amhe_cli.system.model.files import compiled, read_spec, resize
 
@@ -76,13 +76,13 @@ class Box:
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-def layout(model: mujoco.MjModel) -> Layout:
+def layout(model: mujoco.MjModel) -> ModelLayout:
     """Where robot and box are in a model that this module built."""
     q, v = model.jnt_qposadr, model.jnt_dofadr
     trunk, box = model.joint("trunk").id, model.joint("box").id
     rows = [model.joint(name).id for name in JOINTS]
     servos = np.array([model.actuator(name).id for name in SERVOS])
-    return Layout(
+    return ModelLayout(
         slice(q[trunk], q[trunk] + 7), slice(v[trunk], v[trunk] + 6),
         slice(q[box], q[box] + 7), slice(v[box], v[box] + 6),
         q[rows], v[rows], servos,

@@ -144,7 +144,7 @@ def heading_velocity(body: Body) -> tuple[float, float]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Layout:
+class ModelLayout:
     """Where robot and box are in a model's state, as a `Robot`; joints in our order, whatever the file's.
 
     Args:
