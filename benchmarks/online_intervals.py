@@ -1,6 +1,6 @@
 """How often the online 90 % intervals hold the truth in closed loop, by the size of the systematic part.
 
-    python benchmarks/online_intervals.py                   of the stored runs, docs/results/main
+    python benchmarks/online_intervals.py                   of the stored runs, docs/results/now
     python benchmarks/online_intervals.py FOLDER --had 0    of a study whose runs declared none
 
 Uses adaptive runs, before the change of box or floor (from 3 s on) and after it (from 1.5 s on). Prints the
@@ -23,7 +23,7 @@ from amhe_cli.core.statistics import Z90
 from amhe_cli.study.goals import BEGUN, SETTLED, change_of, deviations
 from amhe_cli.study.results import CellResult, read_result
 
-STUDY = Path(__file__).resolve().parent.parent / "docs" / "results" / "main"
+STUDY = Path(__file__).resolve().parent.parent / "docs" / "results" / "now"
 #: Sizes of the systematic part, as a share of mass and friction.
 PARTS = (0.0, 0.06, 0.08, 0.1, 0.12, 0.15)
 
@@ -32,7 +32,7 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("study", type=Path, nargs="?", default=STUDY)
-    parser.add_argument("--had", type=float, default=0.15, help="what the runs declared (0.15)")
+    parser.add_argument("--had", type=float, default=0.1, help="what the runs declared (0.1)")
     arguments = parser.parse_args()
     table = Table(
         "task", "when", "mass off", "friction off", *(f"held, {part:g}" for part in PARTS), title="%"
