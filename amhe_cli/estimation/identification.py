@@ -137,8 +137,11 @@ def searched_for(
         validation = evenly(validation, clips)
     kept = Checkpoint(options.checkpoint, problem, options.method)
     kept.load()  # one of another problem is refused before any work
+    if not quick or (near is None and problem.touches):  # what touches, `explain` does not look at later
+        for wrong in mended(system, problem.pool.parts, problem.rng(8))[:1]:
+            logger.warning(wrong.sentence)
     if not quick:
-        _warn(system, problem)
+        _warn(problem)
     watch.keep(RESERVE * problem.linearisation)
     begin = search.start(problem) if near is None else near.again(problem)
     finding = _search(problem, options.method, watch, kept, begin)
@@ -177,10 +180,8 @@ def _of_all(problem: Problem, logs: Sequence[Log]) -> Problem:
     return replace(problem, pool=ClipPool(pool.system, [whole(log) for log in logs], pool.settings))
 
 
-def _warn(system: System, problem: Problem) -> None:
-    """Warn of what is wrong in the logs, and of parameters that they do not depend on."""
-    for wrong in () if problem.touches else mended(system, problem.pool.parts, problem.rng(8))[:1]:
-        logger.warning(wrong.sentence)
+def _warn(problem: Problem) -> None:
+    """Warn of parameters that the logs do not depend on."""
     for reason in dict.fromkeys(problem.idle.values()):
         held = [name for name, why in problem.idle.items() if why == reason]
         bodies = [(name, inertia_of(name)) for name in held]

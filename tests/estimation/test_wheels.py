@@ -8,6 +8,8 @@ import pytest
 
 import amhe_cli as amhe
 from amhe_cli.core.log import Log
+from amhe_cli.estimation.explain.inputs import Remapped, mended
+from amhe_cli.estimation.offline.clips import whole
 
 STEP = 0.002
 TRUTH = {"load": 4.3, "damping": 0.04, "gain": 1.0}
@@ -69,6 +71,17 @@ def drive(system: amhe.System) -> Log:
     velocity += 0.02 * rng.standard_normal(velocity.shape)
     joints = {"time": time[:, 0], "position": position, "velocity": velocity}
     return Log.from_arrays({"joints": joints, "command": {"time": time[:, 0], "velocity": command}}, system)
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("key", ["", "command.velocity", "joints.position"])
+def test_a_column_with_the_other_sign_is_named_where_wheels_never_leave_the_floor(
+    system: amhe.System, drive: Log, key: str
+) -> None:
+    signs = Remapped({key: {0 if key[:1] == "c" else 3: (0 if key[:1] == "c" else 3, -1.0)}} if key else {})
+    wrong = mended(system, [whole(signs(drive))], np.random.default_rng(0))[:1]
+    named = {"command.velocity": ["command of drive"], "joints.position": ["wheel"]}
+    assert [one.place for one in wrong] == named.get(key, [])
 
 
 @pytest.mark.slow

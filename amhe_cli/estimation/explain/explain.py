@@ -56,7 +56,7 @@ def explain(system: System, parts: Sequence[Window], z: FloatArray, rng: np.rand
         put = [replace(part, log=mending[id(part.log)]) for part in parts]
         again = forced(system, put, 0.0 * z, rng, TURNS)
         more = LIKE if len(again.rows) >= len(best.rows) else 1.0  # a row that needs others is no simpler
-        if again.left * more < best.left:
+        if again.left * more < best.left or (best.untested and again.untested):  # rollouts show it alone
             alike = [two.text for two in wrong if two is not one and two.left < LIKE * one.left]
             rows = [MissingRow(one.kind, one.place, one.text, one.share, tuple(alike))]
             best = replace(again, start=best.start)

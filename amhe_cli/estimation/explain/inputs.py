@@ -16,7 +16,9 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
+from amhe_cli.core.each_log import values_on
 from amhe_cli.core.log import Log, Window
+from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.inverse import Forces
 from amhe_cli.engine.states import collides, controls, filters, first_activations
 from amhe_cli.estimation.explain.motion import DrivenMotion, motion_in
@@ -33,6 +35,9 @@ _MOST = 400
 _INSTANTS, _PRICE = 600, 0.1
 #: Instants that show which candidates leave more than the log as it is: most of a log that is right.
 _GLANCE = 150
+#: Length of the rollouts by which joints are compared that touch something throughout [s], and the most
+#: candidates that are tried by them: a legged robot has 200, which take a minute.
+_AHEAD, _ROLLED = 0.05, 60
 #: What is left of two logs put right that are alike, at most a factor.
 LIKE = 1.1
 #: Factors from numbers to SI units that are tried.
@@ -141,10 +146,14 @@ def mended(system: System, parts: Sequence[Window], rng: np.random.Generator) ->
     """
     part = max(parts, key=lambda one: one.length)
     candidates = [] if system.match == "effort" else list(_candidates(system))
-    look = _Look.at(system, part) if 0 < len(candidates) <= _MOST else None
+    tried = len(candidates)
+    look = glance = _Look.at(system, part, _GLANCE) if 0 < tried <= _MOST else None
+    if look is not None and look.rows is not None:
+        look = _Look.at(system, part)
+    elif look is not None:  # rollouts take their time
+        look, glance = look if tried <= _ROLLED else None, None
     if look is None or (start := look.left()) is None:
         return []
-    tried, glance = len(candidates), _Look.at(system, part, _GLANCE)
     if glance is not None and (as_is := glance.left()) is not None:
         candidates = [
             one for one in candidates if (left := glance.left(one.mend)) is None or left.sum() < as_is.sum()
@@ -245,6 +254,7 @@ class _Look:
     Args:
         system, model: The system, and its model as the log has it.
         forces, rows: Forces along it, and the rows that count; None where something may touch in all of them.
+        values: The numbers of the model as the log has them, as engines take them, shape (1, d).
     """
 
     system: System
@@ -252,6 +262,7 @@ class _Look:
     motion: DrivenMotion
     forces: Forces
     rows: BoolArray | None
+    values: FloatArray
 
     @classmethod
     def at(cls, system: System, part: Window, most: int = _INSTANTS) -> _Look | None:
@@ -260,22 +271,29 @@ class _Look:
         if (motion := motion_in(system, [part], theta, most)) is None:
             return None
         (model,) = models_of(system, [part.log], theta)
-        return cls(system, model, motion, along(system, [model], motion), _counting(model, motion))
+        forces, rows = along(system, [model], motion), _counting(model, motion)
+        if rows is None:  # what it touches holds other joints, or moves the base
+            driven = forces.by.any(axis=(0, 1))
+            motion = replace(motion, dofs=tuple(dof for dof in motion.dofs if driven[dof]))
+        values = values_on(part.log, system.edits.space, system.space, theta[None])
+        return cls(system, model, motion, forces, rows, values)
 
     def left(self, mend: Remapped | None = None) -> FloatArray | None:
         """What is left of the accelerations at each instant, in units of them and with the price, shape (n,).
 
-        None where something may touch throughout.
+        None where something may touch throughout in such a log alone, or no joint is driven.
         """
         system, motion, found, rows = self.system, self.motion, self.forces, self.rows
         if mend is not None:
             motion = mend.moved(system, motion)
             found = along(system, [self.model], motion)
-            if mend.joints(system):
+            if mend.joints(system) and rows is not None:
                 rows = _counting(self.model, motion)
-        if rows is None:
+        dofs = list(motion.dofs)
+        if not dofs or (rows is None and self.rows is not None):
             return None
-        residual, dofs = missing(motion, found), list(motion.dofs)
+        residual = self._rolled_out(motion)[:, dofs] if rows is None else missing(motion, found)
+        rows = np.ones(len(residual), dtype=bool) if rows is None else rows
         size = np.sqrt((motion.filtered(motion.qacc)[rows][:, dofs] ** 2).mean(axis=0)) + 1e-12
         given, owner = own_forces(system, motion, found.given)
         own = np.linalg.inv(found.mass[rows][:, dofs][:, :, dofs])
@@ -288,6 +306,24 @@ class _Look:
         total = np.zeros(len(residual))
         total[rows] = ((e - np.tensordot(fit, columns, 1)) ** 2).sum(axis=1) + _PRICE * (fit**2).sum()
         return total / len(dofs)
+
+    def _rolled_out(self, motion: DrivenMotion) -> FloatArray:
+        """Mean acceleration that short rollouts from each instant miss, filtered, shape (n, nv).
+
+        Unlike forces along the motion they know what the floor gives, and forget in a moment how deep a
+        measured state is in it.
+        """
+        system, ahead = self.system, max(1, round(_AHEAD / motion.period))
+        first = np.concatenate(
+            [np.minimum(np.arange(s.start, s.stop), s.stop - 1 - ahead) for s in motion.stretches]
+        )
+        engine = CpuEngine(system.model, system.edits, system.input_spec, 1, False)
+        inputs = motion.inputs[first[:, None] + np.arange(ahead)]
+        inputs = np.repeat(inputs, round(motion.period / system.dt), axis=1)
+        values, lengths = np.repeat(self.values, len(first), axis=0), np.full(len(first), inputs.shape[1])
+        rolled = engine.rollout(values, motion.qpos[first], motion.qvel[first], inputs, lengths)
+        missed = np.where(rolled.completed[:, None], motion.qvel[first + ahead] - rolled.qvel[:, -1], 0.0)
+        return motion.filtered(missed / (ahead * motion.period))
 
 
 def _counting(model: Any, motion: DrivenMotion) -> BoolArray | None:
