@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import partial
@@ -45,12 +46,15 @@ from amhe_cli.core.statistics import correlation
 from amhe_cli.core.yaml_file import merged
 from amhe_cli.estimation.conclude import PARTS, Search
 from amhe_cli.estimation.core.result import Against, Identification, Iteration, ParameterResult
+from amhe_cli.estimation.explain.inputs import uncommanded
 from amhe_cli.estimation.identification import IdentifyOptions, concluded, searched_for
 from amhe_cli.estimation.offline.problem import Ends, KnownNoise
 from amhe_cli.estimation.offline.watch import Watch
 from amhe_cli.estimation.uncertainty.misfit import stalled
 from amhe_cli.init.folder import Proposal
 from amhe_cli.system.system import System
+
+logger = logging.getLogger(__name__)
 
 #: Clips of the searches where motions are matched, and their length [s]: many short ones, along which even
 #: wrong numbers do not lead far away, show what is far off, and some of the usual length by how much.
@@ -184,7 +188,10 @@ def audit(
         short = {"clips": {"length": [length, length]}} if length else {}
         parameters = [*guesses, *doubts_of(proposal)]
         system = replace(proposal, parameters=parameters).system(name, merged(settings, short))
-        logs[:] = logs or read(system)
+        if not logs:
+            logs[:] = read(system)
+            for text in uncommanded(system):
+                logger.warning(text)
         enough = _NEAR if noise else enough
         return searched_for(
             system, logs, None, options, quick=True, near=near, clips=clips, enough=enough, noise=noise,

@@ -273,7 +273,7 @@ class _Look:
         (model,) = models_of(system, [part.log], theta)
         forces, rows = along(system, [model], motion), _counting(model, motion)
         if rows is None:  # what it touches holds other joints, or moves the base
-            driven = forces.by.any(axis=(0, 1))
+            driven = (forces.by != 0.0).any(axis=(0, 1))
             motion = replace(motion, dofs=tuple(dof for dof in motion.dofs if driven[dof]))
         values = values_on(part.log, system.edits.space, system.space, theta[None])
         return cls(system, model, motion, forces, rows, values)
