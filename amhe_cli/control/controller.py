@@ -136,6 +136,7 @@ class Controller:
         self._last: Plan | None = None
         self._behaviour, self._robot, self._engine = behaviour, robot, engine
         self._settings, self._names = settings, names
+        self._inputs = np.argsort(robot.servos)  # which joint each input of the engine moves
         self._sampler = Mpopi(settings, sigma, behaviour.channel_sigma, rng)
         self._steps = settings.period * np.arange(settings.horizon, dtype=np.float64)
         self._basis = spline_basis(np.linspace(0.0, 1.0, settings.horizon), settings.knots)
@@ -223,15 +224,15 @@ class Controller:
     ) -> Rollouts:
         """Roll out joint targets (n, H, joints); one row of states for each control period."""
         count, fine = len(targets), self._settings.substeps
-        inputs = np.empty((count, fine * targets.shape[1], targets.shape[2]))
-        inputs[..., self._robot.servos] = targets.repeat(fine, axis=1)
+        inputs = targets[..., self._inputs].repeat(fine, axis=1)
         lengths = np.full(count, inputs.shape[1])
         rows = self._engine.rollout(theta[None].repeat(count, axis=0), qpos, qvel, inputs, lengths)
-        return replace(rows, qpos=rows.qpos[:, fine - 1 :: fine], qvel=rows.qvel[:, fine - 1 :: fine])
+        last = slice(fine - 1, None, fine)
+        return Rollouts(rows.qpos[:, last], rows.qvel[:, last], None, rows.completed)
 
     def _scores(self, x: FloatArray, terms: dict[str, FloatArray], completed: BoolArray) -> Scores:
         knots, _ = self._sampler.split(x)
-        means = np.concatenate(list(terms.values())).mean(axis=-1).reshape(len(terms), -1)
+        means = np.array(list(terms.values())).sum(axis=-1) / self._settings.horizon
         bent = self._behaviour.knot_weight / knots.shape[1] * (knots**2).sum(axis=(1, 2))
         cost = means.sum(axis=0) + bent
         named = dict(zip(terms, means, strict=True)) | {"knots": bent}

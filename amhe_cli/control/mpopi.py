@@ -160,8 +160,8 @@ class Mpopi:
             rollouts=len(x),
             diverged=len(x) - finite.size,
             effective_samples=float(1.0 / (weights @ weights)) if finite.size else 0.0,
-            best=float(finite.min()) if finite.size else float("inf"),
-            average=float(finite.mean()) if finite.size else float("inf"),
+            best=float(scores.cost[best]),
+            average=float(finite.sum()) / finite.size if finite.size else float("inf"),
             terms={name: float(term[best]) for name, term in scores.terms.items()},
         )
 

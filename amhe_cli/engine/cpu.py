@@ -56,6 +56,7 @@ class CpuEngine:
         self._model, self._edits, self._input_spec = without_contacts(free), edits, input_spec
         self._threads, self._sensors = threads, sensors
         self._batch: mujoco.batch.Batch | None = None
+        self._qpos = self._qvel = np.empty((0, 0))  # views of its states
         self._fields: dict[str, np.ndarray] = {}
         self._written, self._first = np.empty((0, len(edits.space))), np.empty((0, 0))
         self._clean = np.empty(0, dtype=bool)  # without warnings since their last reset
@@ -70,8 +71,7 @@ class CpuEngine:
         count, horizon = inputs.shape[:2]
         batch = self._ready(count)
         self._begin(batch, theta)
-        batch.bind("qpos")[:count] = qpos
-        batch.bind("qvel")[:count] = qvel
+        self._qpos[:count], self._qvel[:count] = qpos, qvel
         if self._model.na and self._controls is not None:
             first = first_activations(self._model, qpos, inputs[:, 0, self._controls])
             batch.bind("act")[:count] = first
@@ -135,6 +135,7 @@ class CpuEngine:
         """The pool, grown to at least `count` simulations."""
         if self._batch is None or self._batch.nsim < count:
             batch = self._batch = mujoco.batch.Batch(self._model, count, self._threads)
+            self._qpos, self._qvel = batch.bind("qpos"), batch.bind("qvel")
             self._fields = {name: batch.expand(name) for name in self._edits.fields}
             if self._gear is not None:  # each update overwrites the batch's own dry friction
                 for name in _FORCES:

@@ -21,14 +21,14 @@ from amhe_cli.core.arrays import BoolArray, FloatArray, columns, sealed
 from amhe_cli.core.log import Samples
 from amhe_cli.core.rotations import cross
 from amhe_cli.robots.go1 import kinematics as legs
-from amhe_cli.robots.go1.kalman import Turn, ValueFilter
+from amhe_cli.robots.go1.kalman import STILL, Turn, ValueFilter, Vector
 from amhe_cli.robots.go1.state import Body, SensorNoise, State
 
 #: Number of robot samples in one velocity of the feet: the errors of feet are slow, so more samples add
 #: nothing.
 _BLOCK = 5
 #: Columns of `SensorSamples.table`.
-_JOINTS, _RATES, _GYRO, _SPIN = slice(1, 13), slice(13, 25), slice(25, 28), [0, 25, 26, 27]
+_SPIN, _GYRO, _JOINTS, _RATES = slice(0, 4), slice(1, 4), slice(4, 16), slice(16, 28)
 #: Offsets in time for differences [s]: now, a little later, a little earlier.
 _DT = 1e-4
 _INSTANT = sealed([0.0, _DT, -_DT])[:, None, None]
@@ -60,7 +60,7 @@ def poses(measured: Samples, body: str) -> list[Pose]:
     for time, position, orientation in zip(times.tolist(), positions, orientations, strict=True):
         size = sqrt(orientation @ orientation)
         # Some systems send zeros in place of a body that they have lost.
-        if size > 0.5 and isfinite(time + size + position.sum()):
+        if size > 0.5 and isfinite(time + size + sum(position.tolist())):
             found.append(Pose(time, position, orientation / size))
     return sorted(found, key=lambda pose: pose.time)
 
@@ -70,7 +70,7 @@ class SensorSamples:
     """The robot's own samples of one cycle: whole, new, and in the order of time.
 
     Args:
-        table: Time [s], joints [rad], joint rates [rad/s] and gyro [rad/s], shape (m, 28).
+        table: Time [s], gyro [rad/s], joints [rad] and joint rates [rad/s], shape (m, 28).
         standing: Feet that should stand, shape (m, 4).
         spins: Time and gyro; before those of the table the last two of the cycles before, or as many as there
             were, shape (m + 2, 4).
@@ -87,15 +87,14 @@ class SensorSamples:
         """Samples later than those of `before`, the last `spins`; none with a value that is not finite."""
         times, joints = measured["joints.position"]
         rates, gyro = measured["joints.velocity"][1], measured["imu.angular_velocity"][1]
-        table = np.concatenate((times[:, None], joints, rates, gyro), axis=1)
+        table = np.concatenate((times[:, None], gyro, joints, rates), axis=1)
         good = np.isfinite(table).all(axis=1)
         if len(before):
             good &= times > before[-1, 0]
-        rows = np.flatnonzero(good)
-        if (times[rows[1:]] <= times[rows[:-1]]).any():
-            rows = rows[np.unique(times[rows], return_index=True)[1]]
-        table = table[rows]
-        return SensorSamples(table, standing(times)[rows], np.concatenate((before[-2:], table[:, _SPIN])))
+        table = table[good]
+        if (table[1:, 0] <= table[:-1, 0]).any():
+            table = table[np.unique(table[:, 0], return_index=True)[1]]
+        return SensorSamples(table, standing(table[:, 0]), np.concatenate((before[-2:], table[:, _SPIN])))
 
 
 class Gyro:
@@ -105,29 +104,29 @@ class Gyro:
         times, rates = samples.spins[:, :1], samples.spins[:, 1:]
         steps = 0.5 * (rates[1:] + rates[:-1]) * (times[1:] - times[:-1])
         self._times = times[:, 0].tolist()
-        self._angles = np.cumsum(np.vstack((np.zeros(3), steps)), axis=0)
-        self.until, self.last = (self._times[-1], rates[-1]) if len(rates) else (-np.inf, np.zeros(3))
+        self._angles = [STILL, *np.cumsum(steps, axis=0).tolist()]
+        self.until, self.last = (self._times[-1], rates[-1].tolist()) if len(rates) else (-np.inf, STILL)
 
-    def turned(self, start: float, end: float) -> FloatArray:
-        """Rotation vector [rad] from one time [s] to a later one, shape (3,); zero before two samples."""
+    def turned(self, start: float, end: float) -> Vector:
+        """Rotation vector [rad] from one time [s] to a later one; zero before two samples."""
         if len(self._times) < 2 or start >= end:
-            return np.zeros(3)
-        return self._angle(end) - self._angle(start)
+            return STILL
+        return [b - a for a, b in zip(self._angle(start), self._angle(end), strict=True)]
 
-    def _angle(self, time: float) -> FloatArray:
+    def _angle(self, time: float) -> Vector:
         i = min(max(bisect(self._times, time), 1), len(self._times) - 1)
         early, late = self._times[i - 1], self._times[i]
-        before, after = self._angles[i - 1], self._angles[i]
-        return before + (time - early) / (late - early) * (after - before)
+        share = (time - early) / (late - early)
+        return [a + share * (b - a) for a, b in zip(self._angles[i - 1], self._angles[i], strict=True)]
 
 
-def feet(samples: SensorSamples, offset: FloatArray, upright: FloatArray) -> list[Feet]:
+def feet(samples: SensorSamples, offset: Vector, upright: Vector) -> list[Feet]:
     """The trunk's velocity by its feet, block by block.
 
     Args:
         samples: The robot's samples.
-        offset: Offset of the gyro, to be added to it [rad/s], shape (3,).
-        upright: The world's upward direction in the trunk's frame, shape (3,).
+        offset: Offset of the gyro, to be added to it [rad/s].
+        upright: The world's upward direction in the trunk's frame.
     """
     count = len(samples.table)
     if not count:
@@ -136,7 +135,9 @@ def feet(samples: SensorSamples, offset: FloatArray, upright: FloatArray) -> lis
     sizes = np.minimum(count - starts, _BLOCK)
     # Means first: within a block, J(q) dq bends by less than 1 mm/s.
     means = np.add.reduceat(samples.table, starts) / sizes[:, None]
-    velocities = trunk_velocities(means[:, _JOINTS], means[:, _RATES], means[:, _GYRO] + offset, upright)
+    velocities = trunk_velocities(
+        means[:, _JOINTS], means[:, _RATES], means[:, _GYRO] + offset, np.array(upright)
+    )
     # A foot that stood in a part of the block only has hardly landed, or is about to leave.
     stood = np.logical_and.reduceat(samples.standing, starts)
     return [Feet(*block) for block in zip(means[:, 0].tolist(), velocities, stood, strict=True)]
@@ -252,21 +253,23 @@ class StateEstimator:
         if self._trunk is None or self._box is None or self._joints is None or self._gyro is None:
             raise ValueError("no state yet: trunk, box and joints must each have been measured once")
         held = min(time, self._joints.time + _HOLD)
-        trunk = _body(self._trunk, time, self._gyro.at(held) + self._trunk.turn.error.rate)
+        offset = self._trunk.turn.error.rate
+        turning = [a + b for a, b in zip(self._gyro.at(held), offset, strict=True)]
+        trunk = _body(self._trunk, time, turning)
         box = _body(self._box, time, self._box.turn.error.rate)
-        return State(time, trunk, box, self._joints.at(held), np.array(self._joints.rate))
+        return State(time, trunk, box, np.array(self._joints.at(held)), np.array(self._joints.rate))
 
     def _see_joints(self, samples: SensorSamples) -> None:
         """Take in joints, and the trunk's angular velocity by the gyro."""
         noise = self._noise
-        for time, row in zip(samples.table[:, 0].tolist(), samples.table, strict=True):
-            joints, rates, spin = row[_JOINTS], row[_RATES], row[_GYRO]
+        for row in samples.table.tolist():
+            time, spin, joints, rates = row[0], row[_GYRO], row[_JOINTS], row[_RATES]
             if self._joints is None or self._gyro is None:
                 self._joints = ValueFilter(
                     time, joints, rates, noise.joint**2, noise.joint_rate**2, noise.joint_drive
                 )
                 self._gyro = ValueFilter(
-                    time, spin, np.zeros(3), noise.gyro**2, _FIRST_SPIN_UP**2, noise.trunk_jerk
+                    time, spin, STILL, noise.gyro**2, _FIRST_SPIN_UP**2, noise.trunk_jerk
                 )
                 continue
             self._joints.advance(time)
@@ -308,29 +311,34 @@ class StateEstimator:
             self._box.turn.advance(pose.time)
             self._see_pose(self._box, pose)
 
-    def _see_pose(self, body: _Filters, pose: Pose, spin: FloatArray | float = 0.0) -> None:
+    def _see_pose(self, body: _Filters, pose: Pose, spin: Vector = STILL) -> None:
         """Correct by a pose; `spin` is the gyro's angular velocity [rad/s], if already counted."""
         if pose.time > body.place.time - _OLDEST:
-            body.place.see_value(pose.position, self._noise.position, pose.time)
-            body.turn.see(pose.orientation, self._noise.orientation, pose.time, spin)
+            body.place.see_value(pose.position.tolist(), self._noise.position, pose.time)
+            body.turn.see(pose.orientation.tolist(), self._noise.orientation, pose.time, spin)
 
     def _started(self, pose: Pose, drive: float, turning: tuple[float, float, float]) -> _Filters:
         """Filters at rest at a pose; `turning`: first sd of the turning rate, its drive, the angle's walk."""
-        noise, at_rest, (sd, turn_drive, walk) = self._noise, np.zeros(3), turning
-        place = ValueFilter(pose.time, pose.position, at_rest, noise.position**2, _FIRST_SPEED**2, drive)
-        error = ValueFilter(pose.time, at_rest, at_rest, noise.orientation**2, sd**2, turn_drive, walk)
-        return _Filters(place, Turn(pose.orientation, error))
+        noise, (sd, turn_drive, walk) = self._noise, turning
+        place = ValueFilter(
+            pose.time, pose.position.tolist(), STILL, noise.position**2, _FIRST_SPEED**2, drive
+        )
+        error = ValueFilter(pose.time, STILL, STILL, noise.orientation**2, sd**2, turn_drive, walk)
+        return _Filters(place, Turn(pose.orientation.tolist(), error))
 
-    def _see_feet(self, place: ValueFilter, block: Feet, to_world: FloatArray) -> None:
+    def _see_feet(self, place: ValueFilter, block: Feet, to_world: list[Vector]) -> None:
         """Correct the trunk's velocity by those feet whose velocity agrees with the prediction."""
-        noise, velocities = self._noise, block.velocities @ to_world.T
+        noise, velocities = self._noise, block.velocities @ np.array(to_world).T
         limit = noise.gate**2 * (place.rr + noise.foot**2)
-        rests = block.stood & (np.square(velocities - place.rate).sum(axis=1) < limit)
-        if rests.any():
-            place.see_rate(velocities[rests].mean(axis=0), noise.foot)
+        (x, y, z), rests = place.rate, []
+        for u, v, w in velocities[block.stood].tolist():
+            if (u - x) * (u - x) + (v - y) * (v - y) + (w - z) * (w - z) < limit:
+                rests.append((u, v, w))
+        if rests:
+            place.see_rate([sum(axis) / len(rests) for axis in zip(*rests, strict=True)], noise.foot)
 
 
-def _body(filters: _Filters, time: float, rate: FloatArray) -> Body:
-    """The body at a time [s], at this angular velocity [rad/s], shape (3,)."""
+def _body(filters: _Filters, time: float, rate: Vector) -> Body:
+    """The body at a time [s], at this angular velocity [rad/s]."""
     place, turn = filters
-    return Body(place.at(time), turn.at(time, rate), np.array(place.rate), np.array(rate))
+    return Body(*map(np.array, (place.at(time), turn.at(time, rate), place.rate, rate)))

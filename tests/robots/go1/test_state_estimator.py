@@ -14,7 +14,7 @@ from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.log import Samples
 from amhe_cli.robots.go1 import kinematics as legs
 from amhe_cli.robots.go1.behaviours.gait import Gait, contacts, walk
-from amhe_cli.robots.go1.kalman import Turn, ValueFilter
+from amhe_cli.robots.go1.kalman import STILL, Turn, ValueFilter
 from amhe_cli.robots.go1.model import Box, plant_model
 from amhe_cli.robots.go1.plant import Plant
 from amhe_cli.robots.go1.state import Body, State
@@ -145,7 +145,7 @@ def test_what_rests_is_at_rest_from_the_first_cycle_on() -> None:
 
 def test_a_value_filter_is_the_kalman_filter_of_the_textbook() -> None:
     """Against matrices: constant velocity, white acceleration, position and velocity measured."""
-    filtered = ValueFilter(0.0, np.array([1.0]), np.array([-1.0]), 0.5, 2.0, drive=0.7, walk=0.3)
+    filtered = ValueFilter(0.0, [1.0], [-1.0], 0.5, 2.0, drive=0.7, walk=0.3)
     x, P = np.array([1.0, -1.0]), np.diag([0.5, 2.0])
     for time, row, z, sd in ((0.1, [1, 0], 1.3, 0.2), (0.15, [0, 1], 0.4, 0.1), (0.4, [1, -0.05], 1.1, 0.3)):
         dt, H = time - filtered.time, np.array(row, dtype=float)
@@ -156,21 +156,24 @@ def test_a_value_filter_is_the_kalman_filter_of_the_textbook() -> None:
         x, P = x + gain * (z - H @ x), P - np.outer(gain, H @ P)
         filtered.advance(time)
         if row[0]:
-            filtered.see_value(np.array([z]), sd, time + row[1])
+            filtered.see_value([z], sd, time + row[1])
         else:
-            filtered.see_rate(np.array([z]), sd)
-        np.testing.assert_allclose([filtered.value[0], filtered.rate[0]], x)
+            filtered.see_rate([z], sd)
+        np.testing.assert_allclose([*filtered.value, *filtered.rate], x)
         np.testing.assert_allclose([filtered.vv, filtered.vr, filtered.rr], [P[0, 0], P[0, 1], P[1, 1]])
 
 
 def test_a_turn_agrees_with_the_rotations_of_core() -> None:
-    turn = Turn(TRUNK.orientation, ValueFilter(0.0, np.zeros(3), BOX.rate, 1.0, 1.0, 1.0))
-    np.testing.assert_allclose(turn.matrix() @ BOX.velocity, rotations.rotate(turn.orientation, BOX.velocity))
-    turn.advance(0.5, TRUNK.rate)
+    turn = Turn(TRUNK.orientation.tolist(), ValueFilter(0.0, STILL, BOX.rate.tolist(), 1.0, 1.0, 1.0))
+    rotated = rotations.rotate(TRUNK.orientation, BOX.velocity)
+    np.testing.assert_allclose(np.array(turn.matrix()) @ BOX.velocity, rotated)
+    turn.advance(0.5, TRUNK.rate.tolist())
     expected = rotations.multiply(TRUNK.orientation, rotations.exp(0.5 * BOX.rate + TRUNK.rate))
     np.testing.assert_allclose(turn.orientation, expected, atol=1e-12)
-    turn.see(-BOX.orientation, 1e-6, 0.5)
-    np.testing.assert_allclose(rotations.difference(turn.orientation, BOX.orientation), 0.0, atol=1e-9)
+    turn.see((-BOX.orientation).tolist(), 1e-6, 0.5)
+    np.testing.assert_allclose(
+        rotations.difference(np.array(turn.orientation), BOX.orientation), 0.0, atol=1e-9
+    )
 
 
 def test_the_point_of_contact_rests_while_the_foot_rolls() -> None:

@@ -144,7 +144,7 @@ def _steps(gait: Gait, phase: FloatArray, twist: FloatArray) -> tuple[FloatArray
     A standing foot goes back with the floor; a flying one comes forward on a cycloid, at rest over its
     places of lift-off and touch-down.
     """
-    shape = (*np.broadcast_shapes(phase.shape[:-1], twist.shape[:-1]), 4)
+    shape = (phase + twist[..., :1]).shape
     if gait.duty >= 1.0:
         return np.zeros((*shape, 3)), np.zeros((*shape, 3))
     flying = phase >= gait.duty

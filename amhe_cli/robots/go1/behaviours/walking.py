@@ -440,7 +440,7 @@ class Walking:
         command = self._command(state, at, box_friction(belief))
         drift = heading_velocity(state.trunk)[1] - command[1]
         left = self.stepping.update(state.time, drift, self.standing(np.array(state.time)))
-        gait = replace(self.gait, height=self.gait.height + at.lift)
+        gait = replace(self.gait, height=self.gait.height + at.lift) if at.lift else self.gait
         return WalkMove(gait, self.weights, self.height + at.lift, at, command, left)
 
     def running_cost(self, state: State) -> dict[str, float]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, sealed
 from amhe_cli.core.rotations import conjugate, mean, multiply, rotate
-from amhe_cli.robots.go1.kalman import ValueFilter
+from amhe_cli.robots.go1.kalman import STILL, ValueFilter
 from amhe_cli.robots.go1.kinematics import FOOT_RADIUS, feet
 from amhe_cli.robots.go1.poses.gate import up
 from amhe_cli.robots.go1.poses.sources import Pose
@@ -104,10 +104,11 @@ class Witness:
             heights = at @ upright
             self._step(time, rotate(turn, velocities[heights < heights.min() + _LANDED]))
             assert self._way is not None
-            last = self._felt[-1] if self._felt else _Felt(time, self._way.value, turn, at, 0.0)
+            way = np.array(self._way.value)
+            last = self._felt[-1] if self._felt else _Felt(time, way, turn, at, 0.0)
             # states may be lost in the middle of a block, too
             step = max(time - last.time, np.diff(block["time"]).max(initial=0.0))
-            self._felt.append(_Felt(time, self._way.value, turn, at, last.blind + step**3))
+            self._felt.append(_Felt(time, way, turn, at, last.blind + step**3))
 
     def see(self, body: str, time: float, pose: Pose) -> None:
         """Take in a pose of trunk or box in one frame, z upward; one older than the newest is left out."""
@@ -131,13 +132,13 @@ class Witness:
 
     def _step(self, time: float, velocities: FloatArray) -> None:
         """The trunk's velocity by each of the lowest feet (n, 3), those left out that do not stand yet."""
-        way = self._way = self._way or ValueFilter(time, np.zeros(3), np.zeros(3), 0.0, 0.01, _DRIVE)
+        way = self._way = self._way or ValueFilter(time, STILL, STILL, 0.0, 0.01, _DRIVE)
         way.advance(time)
         off = np.square(velocities - way.rate).sum(axis=1)
         standing = velocities[off < _AGREES**2 * (way.rr + _FOOT**2)]
         if len(standing):
             scatter = np.square(standing - standing.mean(axis=0)).mean()
-            way.see_rate(standing.mean(axis=0), float(np.sqrt(_FOOT**2 + scatter)))
+            way.see_rate(standing.mean(axis=0).tolist(), float(np.sqrt(_FOOT**2 + scatter)))
 
     def _window(self, body: str, longest: float = _WINDOW, other: str = "") -> list[Seen]:
         """The newest poses of a body, as old as those of another one, that the robot has felt the time of.
