@@ -227,8 +227,7 @@ class Controller:
         inputs = targets[..., self._inputs].repeat(fine, axis=1)
         lengths = np.full(count, inputs.shape[1])
         rows = self._engine.rollout(theta[None].repeat(count, axis=0), qpos, qvel, inputs, lengths)
-        last = slice(fine - 1, None, fine)
-        return Rollouts(rows.qpos[:, last], rows.qvel[:, last], None, rows.completed)
+        return Rollouts(rows.qpos[:, fine - 1 :: fine], rows.qvel[:, fine - 1 :: fine], None, rows.completed)
 
     def _scores(self, x: FloatArray, terms: dict[str, FloatArray], completed: BoolArray) -> Scores:
         knots, _ = self._sampler.split(x)

@@ -269,8 +269,6 @@ class CpuEngine:
 def _groups(lengths: IntArray) -> list[tuple[IntArray, int]]:
     """Split rollouts into groups of similar length: (ascending ids, steps to run)."""
     longest = int(lengths.max())
-    if (lengths == longest).all():  # as of a planner, whose time counts
-        return [(np.arange(lengths.size), longest)]
     edges = np.unique(np.ceil(np.arange(1, LENGTH_GROUPS + 1) * longest / LENGTH_GROUPS).astype(int))
     group = np.searchsorted(edges, lengths)
     return [

@@ -119,8 +119,7 @@ class Turn:
 
     def at(self, time: float, rate: Vector) -> Vector:
         """Unit quaternion at a time [s] near the estimate's, at this angular velocity [rad/s]."""
-        passed = time - self.time
-        return _turned(self.orientation, [passed * r for r in rate])
+        return _turned(self.orientation, [(time - self.time) * r for r in rate])
 
     def matrix(self) -> list[Vector]:
         """Rotation matrix from body to world, three rows."""
@@ -150,8 +149,7 @@ def _between(start: Vector, end: Vector) -> Vector:
     cosine, *sines = _product([w, -x, -y, -z], end)
     sine = hypot(*sines)
     scale = 2.0 * atan2(sine, abs(cosine)) / sine if sine > 1e-12 else 2.0
-    scale = copysign(scale, cosine)
-    return [scale * s for s in sines]
+    return [copysign(scale, cosine) * s for s in sines]
 
 
 def _product(a: Vector, b: Vector) -> Vector:

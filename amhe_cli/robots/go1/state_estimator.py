@@ -12,7 +12,7 @@ from __future__ import annotations
 from bisect import bisect
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import isfinite, sqrt
+from math import dist, isfinite, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -120,13 +120,13 @@ class Gyro:
         return [a + share * (b - a) for a, b in zip(self._angles[i - 1], self._angles[i], strict=True)]
 
 
-def feet(samples: SensorSamples, offset: Vector, upright: Vector) -> list[Feet]:
+def feet(samples: SensorSamples, offset: Vector, upright: FloatArray) -> list[Feet]:
     """The trunk's velocity by its feet, block by block.
 
     Args:
         samples: The robot's samples.
         offset: Offset of the gyro, to be added to it [rad/s].
-        upright: The world's upward direction in the trunk's frame.
+        upright: The world's upward direction in the trunk's frame, shape (3,).
     """
     count = len(samples.table)
     if not count:
@@ -135,9 +135,7 @@ def feet(samples: SensorSamples, offset: Vector, upright: Vector) -> list[Feet]:
     sizes = np.minimum(count - starts, _BLOCK)
     # Means first: within a block, J(q) dq bends by less than 1 mm/s.
     means = np.add.reduceat(samples.table, starts) / sizes[:, None]
-    velocities = trunk_velocities(
-        means[:, _JOINTS], means[:, _RATES], means[:, _GYRO] + offset, np.array(upright)
-    )
+    velocities = trunk_velocities(means[:, _JOINTS], means[:, _RATES], means[:, _GYRO] + offset, upright)
     # A foot that stood in a part of the block only has hardly landed, or is about to leave.
     stood = np.logical_and.reduceat(samples.standing, starts)
     return [Feet(*block) for block in zip(means[:, 0].tolist(), velocities, stood, strict=True)]
@@ -253,8 +251,7 @@ class StateEstimator:
         if self._trunk is None or self._box is None or self._joints is None or self._gyro is None:
             raise ValueError("no state yet: trunk, box and joints must each have been measured once")
         held = min(time, self._joints.time + _HOLD)
-        offset = self._trunk.turn.error.rate
-        turning = [a + b for a, b in zip(self._gyro.at(held), offset, strict=True)]
+        turning = [a + b for a, b in zip(self._gyro.at(held), self._trunk.turn.error.rate, strict=True)]
         trunk = _body(self._trunk, time, turning)
         box = _body(self._box, time, self._box.turn.error.rate)
         return State(time, trunk, box, np.array(self._joints.at(held)), np.array(self._joints.rate))
@@ -289,7 +286,7 @@ class StateEstimator:
             )
         place, turn = self._trunk
         gyro = Gyro(samples)
-        events = (*seen, *feet(samples, turn.error.rate, turn.matrix()[2]))
+        events = (*seen, *feet(samples, turn.error.rate, np.array(turn.matrix()[2])))
         for event in sorted(events, key=lambda event: event.time):
             turn.error.walk = noise.trunk_turn if event.time <= gyro.until + _HOLD else _BLIND
             place.advance(event.time)
@@ -319,21 +316,16 @@ class StateEstimator:
 
     def _started(self, pose: Pose, drive: float, turning: tuple[float, float, float]) -> _Filters:
         """Filters at rest at a pose; `turning`: first sd of the turning rate, its drive, the angle's walk."""
-        noise, (sd, turn_drive, walk) = self._noise, turning
-        place = ValueFilter(
-            pose.time, pose.position.tolist(), STILL, noise.position**2, _FIRST_SPEED**2, drive
-        )
+        noise, start, (sd, turn_drive, walk) = self._noise, pose.position.tolist(), turning
+        place = ValueFilter(pose.time, start, STILL, noise.position**2, _FIRST_SPEED**2, drive)
         error = ValueFilter(pose.time, STILL, STILL, noise.orientation**2, sd**2, turn_drive, walk)
         return _Filters(place, Turn(pose.orientation.tolist(), error))
 
     def _see_feet(self, place: ValueFilter, block: Feet, to_world: list[Vector]) -> None:
         """Correct the trunk's velocity by those feet whose velocity agrees with the prediction."""
         noise, velocities = self._noise, block.velocities @ np.array(to_world).T
-        limit = noise.gate**2 * (place.rr + noise.foot**2)
-        (x, y, z), rests = place.rate, []
-        for u, v, w in velocities[block.stood].tolist():
-            if (u - x) * (u - x) + (v - y) * (v - y) + (w - z) * (w - z) < limit:
-                rests.append((u, v, w))
+        limit = noise.gate * sqrt(place.rr + noise.foot**2)
+        rests = [seen for seen in velocities[block.stood].tolist() if dist(seen, place.rate) < limit]
         if rests:
             place.see_rate([sum(axis) / len(rests) for axis in zip(*rests, strict=True)], noise.foot)
 

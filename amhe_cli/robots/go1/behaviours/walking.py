@@ -135,9 +135,7 @@ class Resistance:
         plans, believed = self._plans, box_friction(belief)
         force = believed
         if last and last.reference.pushing == 1.0 and last.candidates is not None and last.step:
-            row = (
-                round(self.lead / last.period) - 2
-            )  # a plan begins one period late, its rows end their periods
+            row = round(self.lead / last.period) - 2  # plans begin a period late, their rows end periods
             weights = last.step.weights[: len(last.candidates)]
             moved = np.diff(last.candidates[:, row - 1 : row + 1, TRUNK], axis=1)[:, 0]
             ahead, left = weights @ moved / (max(weights.sum(), 1e-9) * last.period)

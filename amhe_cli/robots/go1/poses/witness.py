@@ -102,9 +102,7 @@ class Witness:
             rates, gyro = block["joint_rates"].mean(axis=0), block["gyro"].mean(axis=0)
             velocities = trunk_velocities(joints[None], rates[None], gyro[None], upright)[0]
             heights = at @ upright
-            self._step(time, rotate(turn, velocities[heights < heights.min() + _LANDED]))
-            assert self._way is not None
-            way = np.array(self._way.value)
+            way = self._step(time, rotate(turn, velocities[heights < heights.min() + _LANDED]))
             last = self._felt[-1] if self._felt else _Felt(time, way, turn, at, 0.0)
             # states may be lost in the middle of a block, too
             step = max(time - last.time, np.diff(block["time"]).max(initial=0.0))
@@ -130,8 +128,8 @@ class Witness:
 
     # -- legs ---------------------------------------------------------------------------------------------
 
-    def _step(self, time: float, velocities: FloatArray) -> None:
-        """The trunk's velocity by each of the lowest feet (n, 3), those left out that do not stand yet."""
+    def _step(self, time: float, velocities: FloatArray) -> FloatArray:
+        """The trunk's way (3,) by its velocity by each of the lowest feet (n, 3); some do not stand yet."""
         way = self._way = self._way or ValueFilter(time, STILL, STILL, 0.0, 0.01, _DRIVE)
         way.advance(time)
         off = np.square(velocities - way.rate).sum(axis=1)
@@ -139,6 +137,7 @@ class Witness:
         if len(standing):
             scatter = np.square(standing - standing.mean(axis=0)).mean()
             way.see_rate(standing.mean(axis=0).tolist(), float(np.sqrt(_FOOT**2 + scatter)))
+        return np.array(way.value)
 
     def _window(self, body: str, longest: float = _WINDOW, other: str = "") -> list[Seen]:
         """The newest poses of a body, as old as those of another one, that the robot has felt the time of.
