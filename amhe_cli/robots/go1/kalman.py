@@ -13,9 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import atan2, copysign, cos, hypot, sin, sqrt
 
-#: Twelve joints, an axis each, or a unit quaternion.
 Vector = list[float]
-STILL: Vector = [0.0, 0.0, 0.0]
+REST: Vector = [0.0, 0.0, 0.0]
 
 
 @dataclass(slots=True)
@@ -104,18 +103,18 @@ class Turn:
         """Time of the estimate [s]."""
         return self.error.time
 
-    def advance(self, time: float, angle: Vector = STILL) -> None:
+    def advance(self, time: float, angle: Vector = REST) -> None:
         """Predict to a time [s], by a rotation vector [rad] by which the gyro turned meanwhile."""
         if time > self.time:
             self.error.advance(time)
             self._fold(angle)
 
-    def see(self, orientation: Vector, sd: float, time: float, rate: Vector = STILL) -> None:
+    def see(self, orientation: Vector, sd: float, time: float, rate: Vector = REST) -> None:
         """Correct by a unit quaternion; `rate` is the gyro's [rad/s], for those that come late."""
         age = max(self.time - time, 0.0)
         off = _between(self.orientation, orientation)
         self.error.see_value([a + age * b for a, b in zip(off, rate, strict=True)], sd, time)
-        self._fold(STILL)
+        self._fold(REST)
 
     def at(self, time: float, rate: Vector) -> Vector:
         """Unit quaternion at a time [s] near the estimate's, at this angular velocity [rad/s]."""
@@ -132,7 +131,7 @@ class Turn:
 
     def _fold(self, angle: Vector) -> None:
         turned = [a + b for a, b in zip(self.error.value, angle, strict=True)]
-        self.orientation, self.error.value = _turned(self.orientation, turned), STILL
+        self.orientation, self.error.value = _turned(self.orientation, turned), REST
 
 
 def _turned(orientation: Vector, rotation: Vector) -> Vector:

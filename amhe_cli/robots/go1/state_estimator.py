@@ -21,7 +21,7 @@ from amhe_cli.core.arrays import BoolArray, FloatArray, columns, sealed
 from amhe_cli.core.log import Samples
 from amhe_cli.core.rotations import cross
 from amhe_cli.robots.go1 import kinematics as legs
-from amhe_cli.robots.go1.kalman import STILL, Turn, ValueFilter, Vector
+from amhe_cli.robots.go1.kalman import REST, Turn, ValueFilter, Vector
 from amhe_cli.robots.go1.state import Body, SensorNoise, State
 
 #: Number of robot samples in one velocity of the feet: the errors of feet are slow, so more samples add
@@ -104,13 +104,13 @@ class Gyro:
         times, rates = samples.spins[:, :1], samples.spins[:, 1:]
         steps = 0.5 * (rates[1:] + rates[:-1]) * (times[1:] - times[:-1])
         self._times = times[:, 0].tolist()
-        self._angles = [STILL, *np.cumsum(steps, axis=0).tolist()]
-        self.until, self.last = (self._times[-1], rates[-1].tolist()) if len(rates) else (-np.inf, STILL)
+        self._angles = [REST, *np.cumsum(steps, axis=0).tolist()]
+        self.until, self.last = (self._times[-1], rates[-1].tolist()) if len(rates) else (-np.inf, REST)
 
     def turned(self, start: float, end: float) -> Vector:
         """Rotation vector [rad] from one time [s] to a later one; zero before two samples."""
         if len(self._times) < 2 or start >= end:
-            return STILL
+            return REST
         return [b - a for a, b in zip(self._angle(start), self._angle(end), strict=True)]
 
     def _angle(self, time: float) -> Vector:
@@ -265,9 +265,7 @@ class StateEstimator:
                 self._joints = ValueFilter(
                     time, joints, rates, noise.joint**2, noise.joint_rate**2, noise.joint_drive
                 )
-                self._gyro = ValueFilter(
-                    time, spin, STILL, noise.gyro**2, _FIRST_SPIN_UP**2, noise.trunk_jerk
-                )
+                self._gyro = ValueFilter(time, spin, REST, noise.gyro**2, _FIRST_SPIN_UP**2, noise.trunk_jerk)
                 continue
             self._joints.advance(time)
             self._joints.see_value(joints, noise.joint, time)
@@ -308,7 +306,7 @@ class StateEstimator:
             self._box.turn.advance(pose.time)
             self._see_pose(self._box, pose)
 
-    def _see_pose(self, body: _Filters, pose: Pose, spin: Vector = STILL) -> None:
+    def _see_pose(self, body: _Filters, pose: Pose, spin: Vector = REST) -> None:
         """Correct by a pose; `spin` is the gyro's angular velocity [rad/s], if already counted."""
         if pose.time > body.place.time - _OLDEST:
             body.place.see_value(pose.position.tolist(), self._noise.position, pose.time)
@@ -317,8 +315,8 @@ class StateEstimator:
     def _started(self, pose: Pose, drive: float, turning: tuple[float, float, float]) -> _Filters:
         """Filters at rest at a pose; `turning`: first sd of the turning rate, its drive, the angle's walk."""
         noise, start, (sd, turn_drive, walk) = self._noise, pose.position.tolist(), turning
-        place = ValueFilter(pose.time, start, STILL, noise.position**2, _FIRST_SPEED**2, drive)
-        error = ValueFilter(pose.time, STILL, STILL, noise.orientation**2, sd**2, turn_drive, walk)
+        place = ValueFilter(pose.time, start, REST, noise.position**2, _FIRST_SPEED**2, drive)
+        error = ValueFilter(pose.time, REST, REST, noise.orientation**2, sd**2, turn_drive, walk)
         return _Filters(place, Turn(pose.orientation.tolist(), error))
 
     def _see_feet(self, place: ValueFilter, block: Feet, to_world: list[Vector]) -> None:

@@ -14,7 +14,7 @@ from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.log import Samples
 from amhe_cli.robots.go1 import kinematics as legs
 from amhe_cli.robots.go1.behaviours.gait import Gait, contacts, walk
-from amhe_cli.robots.go1.kalman import STILL, Turn, ValueFilter
+from amhe_cli.robots.go1.kalman import REST, Turn, ValueFilter
 from amhe_cli.robots.go1.model import Box, plant_model
 from amhe_cli.robots.go1.plant import Plant
 from amhe_cli.robots.go1.state import Body, State
@@ -164,7 +164,7 @@ def test_a_value_filter_is_the_kalman_filter_of_the_textbook() -> None:
 
 
 def test_a_turn_agrees_with_the_rotations_of_core() -> None:
-    turn = Turn(TRUNK.orientation.tolist(), ValueFilter(0.0, STILL, BOX.rate.tolist(), 1.0, 1.0, 1.0))
+    turn = Turn(TRUNK.orientation.tolist(), ValueFilter(0.0, REST, BOX.rate.tolist(), 1.0, 1.0, 1.0))
     np.testing.assert_allclose(turn.matrix() @ BOX.rate, rotations.rotate(TRUNK.orientation, BOX.rate))
     turn.advance(0.5, TRUNK.rate.tolist())
     expected = rotations.multiply(TRUNK.orientation, rotations.exp(0.5 * BOX.rate + TRUNK.rate))

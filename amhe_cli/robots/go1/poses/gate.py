@@ -9,7 +9,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.rotations import conjugate, difference, exp, multiply, rotate
-from amhe_cli.robots.go1.kalman import STILL, ValueFilter
+from amhe_cli.robots.go1.kalman import REST, ValueFilter
 from amhe_cli.robots.go1.poses.sources import Pose, PoseError
 from amhe_cli.robots.go1.settings import Offset, PoseSettings
 
@@ -209,7 +209,7 @@ class Gate:
     def _follow(self, track: _Track, time: float, pose: Pose) -> None:
         place, track.turn = pose
         if track.place is None:
-            track.place = ValueFilter(time, place.tolist(), STILL, _NOISE**2, _FIRST_SPEED**2, _DRIVE)
+            track.place = ValueFilter(time, place.tolist(), REST, _NOISE**2, _FIRST_SPEED**2, _DRIVE)
         track.place.advance(time)
         track.place.see_value(place.tolist(), _NOISE, time)
         track.last = time

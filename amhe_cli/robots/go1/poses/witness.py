@@ -15,7 +15,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, sealed
 from amhe_cli.core.rotations import conjugate, mean, multiply, rotate
-from amhe_cli.robots.go1.kalman import STILL, ValueFilter
+from amhe_cli.robots.go1.kalman import REST, ValueFilter
 from amhe_cli.robots.go1.kinematics import FOOT_RADIUS, feet
 from amhe_cli.robots.go1.poses.gate import up
 from amhe_cli.robots.go1.poses.sources import Pose
@@ -130,7 +130,7 @@ class Witness:
 
     def _step(self, time: float, velocities: FloatArray) -> FloatArray:
         """The trunk's way (3,) by its velocity by each of the lowest feet (n, 3); some do not stand yet."""
-        way = self._way = self._way or ValueFilter(time, STILL, STILL, 0.0, 0.01, _DRIVE)
+        way = self._way = self._way or ValueFilter(time, REST, REST, 0.0, 0.01, _DRIVE)
         way.advance(time)
         off = np.square(velocities - way.rate).sum(axis=1)
         standing = velocities[off < _AGREES**2 * (way.rr + _FOOT**2)]
