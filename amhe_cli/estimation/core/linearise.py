@@ -39,8 +39,6 @@ from amhe_cli.matching.cost import MatchingCost, Residuals
 
 #: Widest sampling sd along any direction, in prior sd.
 WIDEST = 0.5
-
-
 #: Steps to one side alone, in sd of the samples: what bends in them is less by this factor.
 SHORT = 0.01
 #: Clips whose arrays have more bytes than this take their turns, so that memory does not grow with the logs.

@@ -101,8 +101,8 @@ class _Change:
         return _Change(source, factor * self.slope, factor * self.error)
 
 
-def _changed(fit: FinalFit, cost: MatchingCost) -> tuple[_Change, float]:
-    """Effect of another engine on an estimate, and the share by which the misfit rises."""
+def _changed(fit: FinalFit, cost: MatchingCost, *, fitted: bool = False) -> tuple[_Change, float]:
+    """Effect of another engine, and the share by which the misfit rises: in jitter, 0 unless `fitted`."""
     slopes = fit.slopes
 
     def after(cost: MatchingCost, step: FloatArray, first: FloatArray) -> tuple[Residuals, float]:
@@ -113,6 +113,10 @@ def _changed(fit: FinalFit, cost: MatchingCost) -> tuple[_Change, float]:
 
     there = cost.residuals(*_samples(fit))
     both, mean = slopes.completed & there.completed.all(axis=0), there.flat.mean(axis=0)
+    error = float(np.sqrt(1.0 / PAIRS + 1.0 / len(slopes.pairs)))
+    jumps = _Change(Source(""), np.where(both[:, None], mean - slopes.residual, 0.0), error)
+    if fit.problem.non_smooth and not fitted:
+        return jumps, 0.0
     info = information(replace(slopes, residual=mean, completed=both))
     pairs = (fit.information, fit.weight), (info, fit.weight * both)
     steps = [posterior(fit.z, *pair, fit.space.loose_precision).step for pair in pairs]
@@ -120,8 +124,7 @@ def _changed(fit: FinalFit, cost: MatchingCost) -> tuple[_Change, float]:
     (here, least), (there, most) = map(after, (slopes.cost, cost), steps, firsts)
     share = (most - least) / max(least, 1e-300)
     if fit.problem.non_smooth:
-        error = float(np.sqrt(1.0 / PAIRS + 1.0 / len(slopes.pairs)))
-        return _Change(Source(""), np.where(both[:, None], mean - slopes.residual, 0.0), error), share
+        return jumps, share
     z = steps[1] - steps[0]
     gz, gx = np.split(slopes.gain, [len(z)], axis=1)
     along = np.einsum("d,cdr->cr", z, gz) + np.einsum("cx,cxr->cr", firsts[1] - firsts[0], gx)
@@ -159,7 +162,7 @@ def _changes(fit: FinalFit) -> Iterator[_Change]:
         yield _changed(fit, cost.upon(finer))[0].times(settings.solver, source)
     if settings.time_step:
         half_step, order = finer_step(problem.engine, problem.system.unedited)
-        change, rise = _changed(fit, cost.at_half_steps(half_step))
+        change, rise = _changed(fit, cost.at_half_steps(half_step), fitted=True)
         step = 1000.0 * option.timestep
         if rise < -EXPLAINS:
             logger.warning(

@@ -51,8 +51,6 @@ SMALL = 0.05
 CLOSE = 1.0
 #: Factor on the samples by which curvature is judged.
 DOUBLED = 2.0
-
-
 #: Shares of the step to the best first states that are tried on each clip.
 LINE = np.array([1.0, 0.5, 0.0])
 

@@ -39,8 +39,6 @@ CARRIES = 1.5
 #: Student's t that chance exceeds once in a thousand, by degrees of freedom.
 FREEDOM = (2, 3, 4, 5, 6, 8, 10, 15, 30, 1000)
 STUDENT = (22.3, 10.2, 7.2, 5.9, 5.2, 4.5, 4.1, 3.7, 3.4, 3.1)
-
-
 #: Clips that are drawn: the best, a middling and the worst of those given.
 SHOWN = 3
 

@@ -385,19 +385,18 @@ def sliding(noise: float, executor: Executor | None = None) -> FinalFit:
 def test_numerical_choices_are_rows_of_one_sd_each(monkeypatch: pytest.MonkeyPatch) -> None:
     """Contacts: half a factor of two, from twice as soft and twice as hard; the step: all the way to zero."""
     values: Iterator[float] = iter([4.0, 1.0, 0.5, 7.0])  # softer, harder, solved for longer, half the step
+    judged = []
 
-    def changed(fit: FinalFit, cost: Any) -> tuple[Any, float]:
+    def changed(fit: FinalFit, cost: Any, *, fitted: bool = False) -> tuple[Any, float]:
+        judged.append(fitted)
         move = next(values)
         return module._Change(Source(""), np.full((1, 2), move), move), 0.0
 
     monkeypatch.setattr(module, "_changed", changed)
     rows = list(module._changes(sliding(1e-2)))
-    assert [change.source.name for change in rows] == [
-        "the softness of contacts",
-        "the softness of contacts",
-        "the solver",
-        "the time step",
-    ]
+    names = ["the softness of contacts"] * 2 + ["the solver", "the time step"]
+    assert [change.source.name for change in rows] == names
+    assert judged == [False] * 3 + [True], "only the step's misfit is shown"
     # half of a factor of two is one sd, and either side has half of the variance
     half = 0.5 / np.sqrt(2.0)
     assert [change.slope[0, 0] for change in rows] == pytest.approx([half * 4.0, half * 1.0, 0.5, 2.0 * 7.0])
