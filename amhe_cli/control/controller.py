@@ -180,9 +180,10 @@ class Controller:
             targets = self._targets(move, times, step.mean[None])[0]
         command = move.command + self._sampler.split(step.mean)[1]
         self._pace.planned()
-        made, at = sampled[-1][1], start.time
-        self._last = Plan(at, period, targets, move.reference, command, step, made, start, belief)
-        return self._last
+        candidates = sampled[-1][1]
+        plan = Plan(start.time, period, targets, move.reference, command, step, candidates, start, belief)
+        self._last = plan
+        return plan
 
     def _predicted(
         self, state: Any, in_force: FloatArray, theta: FloatArray
