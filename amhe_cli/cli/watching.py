@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from amhe_cli.view.scene import Geom
     from amhe_cli.view.server import PageServer
 
+#: Most sampled plans that are shown.
+_TRACES = 20
+
 watched = flag("--view", "Serve a page to this computer that shows it live (docs/view.md).")
 
 
@@ -66,7 +69,7 @@ def watching_run(session: Session, run: Run) -> Iterator[Callable[[Cycle, dict[s
         traces = (
             None
             if sampled is None
-            else np.concatenate([sampled[:, ::2, of][..., :3] for of in (at.trunk, at.box)])
+            else np.concatenate([sampled[:_TRACES, ::2, of][..., :3] for of in (at.trunk, at.box)])
         )
         shown = [states[0], states[1] if true else None]
         page.put(Happening(cycle.time, shown, numbers, jumped, forces, traces))

@@ -69,10 +69,6 @@ def remembered(old: float, new: float) -> float:
     return max(new, (1.0 - _NEWEST) * old + _NEWEST * new)
 
 
-#: Most sampled plans of which a plan keeps the states.
-_PICTURED = 20
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
     """Joint targets over the horizon.
@@ -84,7 +80,7 @@ class Plan:
         reference: What the behaviour aimed at; None for a plan without a behaviour.
         command: Command of the behaviour with the plan's channels added, shape (c,).
         step: Statistics of the sampling; None for a plan that was not sampled.
-        candidates: States qpos that some sampled plans would lead to, for pictures, shape (k, H, nq).
+        candidates: States qpos that the sampled plans would lead to, shape (n, H, nq).
         expected: The state at the start, as the planner's model predicts it; None: nobody did.
         belief: Parameters under which it was made, by name.
     """
@@ -116,8 +112,8 @@ class Controller:
         names: Names of the parameters theta, in the engine's order.
         rng: Source of all samples.
         pace: Divides the time before a deadline; of this controller alone.
-        corrected: Makes the parameters to plan under from the state, the last plan and the belief, by what
-            is seen before an estimate shows it; None: nothing is corrected.
+        reflex: Corrects the belief before each plan, from the state and the last plan; None: it is used as
+            it is.
     """
 
     def __init__(
@@ -130,9 +126,9 @@ class Controller:
         names: Sequence[str],
         rng: np.random.Generator,
         pace: RolloutPace | None = None,
-        corrected: Callable[[Any, Plan | None, Mapping[str, float]], Mapping[str, float]] | None = None,
+        reflex: Callable[[Any, Plan | None, Mapping[str, float]], Mapping[str, float]] | None = None,
     ) -> None:
-        self._pace, self._corrected = pace or RolloutPace(), corrected
+        self._pace, self._reflex = pace or RolloutPace(), reflex
         self._last: Plan | None = None
         self._behaviour, self._robot, self._engine = behaviour, robot, engine
         self._settings, self._names = settings, names
@@ -153,8 +149,8 @@ class Controller:
             deadline: When the plan is due, by time.monotonic() [s]: samples for which there is no time are
                 left out, the least worthy first. None: no sample is left out.
         """
-        if self._corrected:
-            belief = self._corrected(state, self._last, belief)
+        if self._reflex:
+            belief = self._reflex(state, self._last, belief)
         period = self._settings.period
         theta = np.array([belief[name] for name in self._names])
         start, qpos, qvel = self._predicted(state, in_force, theta)
@@ -167,7 +163,7 @@ class Controller:
             targets = self._targets(move, times, x)
             rollouts = self._roll_out_in_time(theta, qpos, qvel, targets, deadline)
             done = len(rollouts.completed)
-            sampled.append((targets[:done], rollouts.qpos[:_PICTURED]))
+            sampled.append((targets[:done], rollouts.qpos))
             terms = move.terms(times + period, self._robot.bodies(rollouts.qpos, rollouts.qvel))
             return self._scores(x[:done], terms, rollouts.completed)
 

@@ -137,7 +137,9 @@ def searched_for(
         validation = evenly(validation, clips)
     kept = Checkpoint(options.checkpoint, problem, options.method)
     kept.load()  # one of another problem is refused before any work
-    if not quick or (near is None and problem.touches):  # what touches, `explain` does not look at later
+    if not quick or (
+        near is None and problem.touches
+    ):  # `conclude` looks for no cause where something touches
         for wrong in mended(system, problem.pool.parts, problem.rng(8))[:1]:
             logger.warning(wrong.sentence)
     if not quick:

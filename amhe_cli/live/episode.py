@@ -28,7 +28,7 @@ class Cycle:
         estimate: Estimated state.
         played: Joint targets in force while it was planned [rad], shape (n,).
         plan: The plan made from that state; it takes effect one period later.
-        belief: Parameters that the plan was made with, by name.
+        belief: The belief by name, before the controller's reflex corrects it (`Plan.belief`).
         truth: The true state now; None where it is unknown.
         parameters: The true parameters now; None where they are unknown.
         plan_ms: Time that the cycle took to compute [ms].
@@ -58,7 +58,7 @@ class Cycle:
 
 
 class BeliefSource:
-    """The parameters that the controller plans with; estimates change them only between two plans.
+    """The believed parameters; estimates change them only between two plans.
 
     Args:
         parameters: Returns the parameters by name: fixed ones, or those of a plant at the moment.
@@ -110,7 +110,7 @@ class Episode:
     Args:
         target: Robot or simulation that is controlled.
         observe: Gives the state at a time [s] from the measurements since the last call.
-        belief: Gives the parameters that the controller plans with.
+        belief: Gives the believed parameters.
         sample: Gives the samples for log and estimator, from the measurements of a cycle and its estimate.
         judge: Says when the episode is over.
     """

@@ -35,8 +35,8 @@ _MOST = 400
 _INSTANTS, _PRICE = 600, 0.1
 #: Instants that show which candidates leave more than the log as it is: most of a log that is right.
 _GLANCE = 150
-#: Length of the rollouts by which joints are compared that touch something throughout [s], and the most
-#: candidates that are tried by them: a legged robot has 200, which take a minute.
+#: Where every instant may have a contact, joints are compared by rollouts of this length [s], for so many
+#: candidates at most: a legged robot has 200, which take a minute.
 _AHEAD, _ROLLED = 0.05, 60
 #: What is left of two logs put right that are alike, at most a factor.
 LIKE = 1.1
@@ -281,7 +281,7 @@ class _Look:
     def left(self, mend: Remapped | None = None) -> FloatArray | None:
         """What is left of the accelerations at each instant, in units of them and with the price, shape (n,).
 
-        None where something may touch throughout in such a log alone, or no joint is driven.
+        None where no joint is driven, or in the mended log alone every instant may have a contact.
         """
         system, motion, found, rows = self.system, self.motion, self.forces, self.rows
         if mend is not None:
@@ -313,7 +313,8 @@ class _Look:
         Unlike forces along the motion they know what the floor gives, and forget in a moment how deep a
         measured state is in it.
         """
-        system, ahead = self.system, max(1, round(_AHEAD / motion.period))
+        shortest = min(s.stop - s.start for s in motion.stretches)
+        system, ahead = self.system, max(1, min(round(_AHEAD / motion.period), shortest - 1))
         first = np.concatenate(
             [np.minimum(np.arange(s.start, s.stop), s.stop - 1 - ahead) for s in motion.stretches]
         )

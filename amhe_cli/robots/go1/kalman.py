@@ -5,16 +5,17 @@ of matrices. Accelerations are white (Bar-Shalom, Li, Kirubarajan: Estimation wi
 and Navigation, 2001, section 6.2.2). Measurements may come late by a little: they are compared with the
 estimate extrapolated back to their time.
 
-Vectors are lists of plain floats here: for a few numbers at a time NumPy takes two to twenty times as long.
+Vectors are sequences of plain floats here: for a few numbers at a time NumPy takes longer.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import atan2, copysign, cos, hypot, sin, sqrt
 
-Vector = list[float]
-REST: Vector = [0.0, 0.0, 0.0]
+Vector = Sequence[float]
+REST = (0.0, 0.0, 0.0)
 
 
 @dataclass(slots=True)

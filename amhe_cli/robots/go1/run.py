@@ -35,7 +35,7 @@ from amhe_cli.live.episode import BeliefSource, Episode
 from amhe_cli.live.recorder import Recorder
 from amhe_cli.live.target import SimTarget, Target
 from amhe_cli.robots.go1.behaviours.gait import Gait
-from amhe_cli.robots.go1.behaviours.walking import Resistance
+from amhe_cli.robots.go1.behaviours.walking import Reflex
 from amhe_cli.robots.go1.judge import Judge
 from amhe_cli.robots.go1.kinematics import HOME, KINDS, SERVOS
 from amhe_cli.robots.go1.model import KD, KP, SYSTEM, Box, home, layout, planner_model
@@ -290,10 +290,11 @@ def controller_for(options: RunOptions, task: Task, behaviour: Behaviour, system
     n, inputs = settings.samples, np.zeros((settings.samples, 1, planner.nu))
     theta = np.tile(system.space.nominal, (n, 1))
     engine.rollout(theta, planner.qpos0, np.zeros(planner.nv), inputs, np.ones(n, dtype=np.int64))
-    reflex = Resistance() if options.mode == "adaptive" and task.pushes and settings.reflex else None
+    robot = layout(planner)
+    reflex = Reflex(robot) if options.mode == "adaptive" and task.pushes and settings.reflex else None
     return Controller(
-        behaviour, layout(planner), settings.joint_sigma, engine, settings, system.space.names,
-        generator(options.seed, "samples"), corrected=reflex,
+        behaviour, robot, settings.joint_sigma, engine, settings, system.space.names,
+        generator(options.seed, "samples"), reflex=reflex,
     )  # fmt: skip
 
 

@@ -91,9 +91,9 @@ class Plane:
     yaw: float
 
     @staticmethod
-    def under(body: Body) -> Plane:
-        """The frame that a body stands in."""
-        return Plane(np.array(body.position[:2]), body.yaw)
+    def under(position: FloatArray, orientation: FloatArray) -> Plane:
+        """The frame that a body at a position (3,) [m] with a unit quaternion (4,) stands in."""
+        return Plane(np.array(position[:2]), float(yaw_of(orientation)))
 
     def place(self, point: FloatArray) -> FloatArray:
         """A point of the world (3,) in this frame [m], shape (3,)."""

@@ -320,7 +320,7 @@ class Sweeping:
         if self.steps(state.time):
             return self._step_aside(state, at)
         if self._stance is None:
-            self._stance = Plane.under(state.trunk)
+            self._stance = Plane.under(state.trunk.position, state.trunk.orientation)
             if not self._sweeps:
                 self._beside = (state.box.position - state.trunk.position)[:2]
         line, face = self._contact(self._stance, state.box)

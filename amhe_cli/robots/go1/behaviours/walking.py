@@ -25,12 +25,10 @@ from amhe_cli.robots.go1.behaviours.objective import (
     limited,
     push_terms,
 )
-from amhe_cli.robots.go1.state import GRAVITY, Body, State, heading_velocity, wrapped
+from amhe_cli.robots.go1.state import GRAVITY, Body, ModelLayout, State, heading_velocity, wrapped
 
 #: Commanded speed along the path [m/s], and the last part of the path over which it goes to zero [m].
 SPEED, TAPER = 0.2, 0.2
-#: Where the planner's model has the place of the trunk over the floor.
-TRUNK = slice(7, 9)
 #: Longest time that one cycle integrates over, after a pause too [s].
 _LONGEST = 0.05
 
@@ -99,65 +97,90 @@ class Insisting:
         self.share = min(max(self.share + more, 0.0), self.limit)
 
 
+@dataclass(frozen=True, slots=True)
+class _Expected:
+    """The trunk's speed [m/s] that a plan expects at a time [s], its force [N], and `Reflex.wrong` then."""
+
+    time: float
+    speed: float
+    pushed: float
+    wrong: float
+
+
 @dataclass(slots=True, eq=False)
-class Resistance:
+class Reflex:
     """Corrects the believed friction as soon as the trunk is slower, or faster, than plans expected.
 
-    A plan expects a speed of the trunk some time ahead. The momentum that is missing then is that of a force
-    that the belief lacks, beside the force it had meanwhile. Either the belief holds, and the rest is noise;
-    or box or floor is another one, and the force may be any. The belief is corrected by the missing force
-    times the probability of the latter (Bayes). A window of the estimator shows it two tenths of a second
-    later, and ends the correction.
+    What a plan expects of the trunk's speed is compared `lead` later. The missing momentum is that of a force
+    that the belief lacks, beside what plans pushed with meanwhile. Either the belief is right and the
+    difference is noise, or box or floor has changed and the missing force has sd `spread`. The correction is
+    the missing force times the probability of the latter (Bayes). Nothing is corrected before the bumper
+    touches the box, or while the box is to stand: it resists by as much as it is pushed then.
 
     Args:
+        at: The planner's model.
         lead: How far ahead speeds are compared [s].
-        least: Least speed that plans expect [m/s]: a box that stands resists by as much as it is pushed.
+        least: Least speed that plans expect of a box that is to move [m/s].
         noise: Sd of the speed from what was expected under the right belief [m/s].
-        spread: Sd of the missing force under a wrong one [N]; twice as much is added at most.
+        spread: Sd of the missing force under a wrong one [N].
+        most: Largest force that is added [N].
+        left: Least share of the believed force that is left.
         rate: How often box or floor change [1/s].
-        lasting: What is left after `lead` of the probability that the belief is wrong.
+        lasting: What is left, from one comparison to the next, of the probability that the belief is wrong.
         mass: Mass of the robot [kg].
         wrong: That probability; 1 of a box that was never touched.
     """
 
+    at: ModelLayout
     lead: float = 0.12
     least: float = 0.1
     noise: float = 0.03
     spread: float = 20.0
+    most: float = 40.0
+    left: float = 0.2
     rate: float = 0.1
     lasting: float = 0.5
     mass: float = WEIGHT / GRAVITY
     wrong: float = 1.0
-    _plans: deque[tuple[float, float, float, float]] = field(default_factory=deque)
+    _plans: deque[_Expected] = field(default_factory=deque)
 
     def __call__(self, state: State, last: Plan | None, belief: Mapping[str, float]) -> dict[str, float]:
         """The belief to plan under, by the newest estimate: mass and friction share the correction."""
-        plans, believed = self._plans, box_friction(belief)
-        force = believed
-        if last and last.reference.pushing == 1.0 and last.candidates is not None and last.step:
-            row = round(self.lead / last.period) - 2  # plans begin a period late, their rows end periods
-            weights = last.step.weights[: len(last.candidates)]
-            moved = np.diff(last.candidates[:, row - 1 : row + 1, TRUNK], axis=1)[:, 0]
-            ahead, left = weights @ moved / (max(weights.sum(), 1e-9) * last.period)
-            speed = float(cos(state.trunk.yaw) * ahead + sin(state.trunk.yaw) * left)
-            plans.append((last.start - last.period + self.lead, speed, box_friction(last.belief), self.wrong))
-            while plans[0][0] < state.time - 0.5 * last.period:
+        force = believed = box_friction(belief)
+        plans, expected = self._plans, self._expected(state, last) if last else None
+        if last and expected:
+            plans.append(expected)
+            while plans[0].time < state.time - 0.5 * last.period:
                 plans.popleft()
-            _, speed, _, before = plans[0]
-            if plans[0][0] < state.time + 0.5 * last.period and speed > self.least:
+            then = plans[0]
+            if then.time < state.time + 0.5 * last.period and then.speed > self.least:
                 gain = (self.mass + belief["box_mass"]) / self.lead
-                slower = speed - heading_velocity(state.trunk)[0]
-                missing = sum(pushed for *_, pushed, _ in plans) / len(plans) + gain * slower - believed
-                self.wrong = self._posterior(before, missing, gain * self.noise)
-                force = max(believed + self.wrong * min(missing, 2.0 * self.spread), 0.2 * believed)
+                slower = then.speed - heading_velocity(state.trunk)[0]
+                missing = sum(plan.pushed for plan in plans) / len(plans) + gain * slower - believed
+                self.wrong = self._posterior(then.wrong, missing, gain * self.noise)
+                force = max(believed + self.wrong * min(missing, self.most), self.left * believed)
         share = sqrt(force / believed)
         return {**belief, **{name: belief[name] * share for name in ("box_mass", "floor_friction")}}
 
+    def _expected(self, state: State, last: Plan) -> _Expected | None:
+        """What the last plan expects along the trunk's heading; None if it does not push, or ends before."""
+        row = round(self.lead / last.period) - 2  # a plan begins one period late, and its rows end periods
+        if last.reference.pushing != 1.0 or last.candidates is None or not last.step:
+            return None
+        weights = last.step.weights
+        if not weights.any() or not 1 <= row < len(last.targets):
+            return None
+        moved = np.diff(last.candidates[:, row - 1 : row + 1, self.at.trunk], axis=1)[:, 0]
+        x, y, *_ = weights @ moved / (weights.sum() * last.period)
+        speed = float(cos(state.trunk.yaw) * x + sin(state.trunk.yaw) * y)
+        time = last.start - last.period + self.lead
+        return _Expected(time, speed, box_friction(last.belief), self.wrong)
+
     def _posterior(self, before: float, missing: float, sd: float) -> float:
         """Probability that the belief is wrong, after a missing force [N] with that sd."""
-        prior, either = min(self.rate * self.lead + self.lasting * before, 0.99), sd**2 + self.spread**2
+        prior, either = self.rate * self.lead + self.lasting * before, sd**2 + self.spread**2
         odds = log(prior / (1.0 - prior)) + 0.5 * (missing**2 * (sd**-2 - 1.0 / either) - log(either / sd**2))
-        return 1.0 / (1.0 + exp(-min(odds, 50.0)))
+        return 1.0 / (1.0 + exp(-odds))
 
 
 @dataclass(frozen=True, slots=True)

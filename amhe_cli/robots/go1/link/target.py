@@ -20,7 +20,6 @@ from amhe_cli.control.mpopi import MpopiStep
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import AmheError
 from amhe_cli.core.log import Samples
-from amhe_cli.core.rotations import yaw_of
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.mail import SAMPLE, Followed, Phase, SenderReport, StoppedError, Targets
@@ -139,7 +138,7 @@ class Go1Target(Opened):
         assert robot is not None, "who is connected has reported a state"
         check_axes(trunk, robot.quaternion)
         if s.world == "trunk":
-            self._world = Plane(trunk[0][:2], float(yaw_of(trunk[1])))
+            self._world = Plane.under(*trunk)
         place = self._world.place(box[0])
         check_place(place, self._box, s.place_tolerance)
         contact, tilt = report.contact, np.rad2deg(tilt_offset(trunk, robot.quaternion))

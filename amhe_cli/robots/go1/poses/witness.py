@@ -129,7 +129,10 @@ class Witness:
     # -- legs ---------------------------------------------------------------------------------------------
 
     def _step(self, time: float, velocities: FloatArray) -> FloatArray:
-        """The trunk's way (3,) by its velocity by each of the lowest feet (n, 3); some do not stand yet."""
+        """The trunk's way (3,), from the velocities that each of the lowest feet gives it (n, 3).
+
+        Some of these feet do not stand yet, and are left out.
+        """
         way = self._way = self._way or ValueFilter(time, REST, REST, 0.0, 0.01, _DRIVE)
         way.advance(time)
         off = np.square(velocities - way.rate).sum(axis=1)

@@ -57,6 +57,8 @@ class Go1OnLink:
     attend: Attend
 
 
+#: Pushes and their expected information were compared under beliefs that no reflex corrects.
+_PLAIN = {"control": {"reflex": False}}
 #: Shortest push, and longest rehearsal of one, after the approach [s].
 _SHORTEST, _REHEARSED = 1.0, 3.0
 
@@ -207,7 +209,7 @@ class PushProbe:
         return RunOptions(
             self.task, mode, seed=seed, threads=own.threads, duration=task.nominal_time,
             belief=own.belief if real else None, plant=own.plant if real else None,
-            settings=own.settings, belief_anyway=own.belief_anyway, engine=own.engine,
+            settings=merged(_PLAIN, own.settings), belief_anyway=own.belief_anyway, engine=own.engine,
         )  # fmt: skip
 
     def _record(

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from amhe_cli.core.rotations import exp, multiply, rotate, yaw_of
+from amhe_cli.core.rotations import exp, multiply, rotate
 from amhe_cli.robots.go1.link.process import Clock, ClockMap
 from amhe_cli.robots.go1.poses.feed import PoseFeed, TimedPose, _Sender
 from amhe_cli.robots.go1.poses.gate import Gate, check_axes, check_place, offset_pose, tilt_offset
@@ -232,7 +232,7 @@ def turned(x: float, y: float, z: float) -> np.ndarray:
 def test_the_tasks_frame_lies_under_the_trunk_along_its_heading() -> None:
     heading = turned(0.0, 0.0, 2.0)
     trunk = (np.array([3.0, -1.0, 0.09]), multiply(heading, turned(0.02, -0.03, 0.0)))
-    world = Plane(trunk[0][:2], float(yaw_of(trunk[1])))
+    world = Plane.under(*trunk)
     position, orientation = world.seen(*trunk)
     np.testing.assert_allclose(position, [0.0, 0.0, 0.09], atol=1e-12)
     ahead = rotate(orientation, np.array([1.0, 0.0, 0.0]))
