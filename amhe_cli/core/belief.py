@@ -345,6 +345,8 @@ def _entry(belief: Belief, i: int) -> dict[str, object]:
 def _read(path: Path, system: Described | None, belief_anyway: bool) -> Belief:
     """See `Belief.load`."""
     file = YamlFile(path)
+    if "command" in file.own:
+        raise ConfigError(f"{path}: a result, no belief; give the belief.yaml that `amhe identify` writes")
     content = validated(file, _File)
     names = [entry.name for entry in content.parameters]
     for i, name in enumerate(names):

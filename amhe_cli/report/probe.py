@@ -111,18 +111,17 @@ def _page(log: Path, system: System, record: Mapping[str, Any]) -> str:
 
 def headline(record: Mapping[str, Any]) -> str:
     """What the probe shows, beside plain motion of the same length; 'Probe of 5 s: chirp 3: ...'."""
-    key = "achieved_sd" if has_achieved(record) else "expected_sd"
     told = [
-        (row["name"], row["plain_sd"] / row[key], *(sd_text(row, one) for one in ("plain", key[:-3])))
+        (row["name"], row["plain_sd"] / row["expected_sd"], sd_text(row, "plain"), sd_text(row, "expected"))
         for row in record["parameters"]
-        if row.get("plain_sd") and row.get(key)
+        if row.get("plain_sd") and row.get("expected_sd")
     ]
     if not told:
         return f"Probe of {motions(record)}."
     name, _, plain, own = max(told, key=lambda row: row[1])
     worse = [f"{other} {then} → {now}" for other, gain, then, now in told if gain < LITTLE]
     price = f", at the price of {numbers.joined(worse)}" if worse else ""
-    return f"Probe of {motions(record)}. Against plain motion: {name} {plain} → {own}{price}."
+    return f"Probe of {motions(record)}. Expected sd against plain motion's: {name} {plain} → {own}{price}."
 
 
 def _statements(record: Mapping[str, Any]) -> Iterator[Statement]:

@@ -125,9 +125,10 @@ def statements(record: Mapping[str, Any]) -> list[Statement]:
     found.append(Statement("good" if record["updated"] else "bad", f"{windows_line(record)}."))
     ms, period = record["update_ms"], 1e3 * record["settings"]["update_period"]
     if ms["p50"] is not None:
+        longer = 1.0 / record["real_time_factor"]
         told = (
             f"An update took {ms['p50']:.0f} ms (median) and {ms['p99']:.0f} ms (99th percentile); the "
-            f"update period is {period:g} ms. All took {record['real_time_factor']:.1f} times real time."
+            f"update period is {period:g} ms. The replay took {longer:.1f} times as long as the log."
         )
         found.append(Statement("good" if ms["p99"] <= period else "mixed", told))
     return [*found, *diverged_statement(record["rollouts"]["diverged"], record["rollouts"]["count"])]

@@ -114,6 +114,13 @@ def test_what_is_no_belief_is_refused(tmp_path: Path, text: str) -> None:
         Belief.load(path, SYSTEM)
 
 
+def test_a_result_is_not_taken_for_a_belief(tmp_path: Path) -> None:
+    path = tmp_path / "result.json"
+    path.write_text('{"command": "run", "parameters": []}')
+    with pytest.raises(ConfigError, match=r"result.json: a result, no belief; give the belief.yaml"):
+        Belief.load(path, SYSTEM)
+
+
 def test_a_belief_can_be_read_without_its_system(file: Path) -> None:
     assert Belief.load(file).names == identification().belief.names
     with pytest.raises(ConfigError, match="here twice"):

@@ -17,7 +17,7 @@ import numpy as np
 
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.errors import ConfigError, SimulationError
+from amhe_cli.core.errors import ConfigError, SimulationError, one_of
 from amhe_cli.core.log import Samples
 from amhe_cli.engine.states import contact_forces
 from amhe_cli.robots.go1.kinematics import LEGS
@@ -103,7 +103,7 @@ def find_plant(plant: str | Path | None) -> tuple[PlantShape, Path | None]:
         return PLANTS[str(plant or "ours")], None
     if Path(plant).is_file():
         return PLANTS["ours"], Path(plant)
-    raise ConfigError(f"no plant {str(plant)!r}: give the MJCF of a Go1, or one of {', '.join(PLANTS)}")
+    raise ConfigError(f"{one_of('plant', str(plant), PLANTS)}, or the MJCF of a Go1")
 
 
 def shaped_plant(box: Box, shape: PlantShape, robot: Path | None = None) -> mujoco.MjModel:

@@ -224,8 +224,8 @@ function ticks(low, high, count, log = false) {
   const raw = (high - low) / count, power = 10 ** Math.floor(Math.log10(raw || 1)), steps = [0.2, 0.5, 1, 2, 5, 10].map((s) => s * power), out = [];
   const fit = (step) => Math.floor(high / step + 1e-9) - Math.ceil(low / step - 1e-9) + 1;
   const wanted = steps.find((s) => s >= raw / 1.7) || 1, step = steps.findLast((s) => s <= wanted && fit(s) > 1) ?? wanted;  // one alone is no scale
-  const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
-  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) out.push({ value: k * step, text: minus(digits > 4 ? (k * step).toExponential(0) : (k * step).toFixed(digits)) });
+  const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9)), tiny = digits > 4 && Math.max(Math.abs(low), Math.abs(high)) < 1e-3;
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) out.push({ value: k * step, text: minus(tiny ? (k * step).toExponential(0) : (k * step).toFixed(digits)) });
   return out;
 }
 

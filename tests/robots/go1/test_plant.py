@@ -278,7 +278,7 @@ def test_gears_rub_under_load() -> None:
 
 def test_a_plant_has_a_name_or_a_file() -> None:
     assert find_plant("dry") == (PLANTS["dry"], None)
-    with pytest.raises(ConfigError, match="no plant 'wet': give the MJCF of a Go1, or one of ours, dry"):
+    with pytest.raises(ConfigError, match="no plant 'wet'; there is: crate, dry, .* or the MJCF of a Go1"):
         find_plant("wet")
 
 

@@ -170,8 +170,8 @@ class Reflex:
         weights = last.step.weights
         if not weights.any() or not 1 <= row < len(last.targets):
             return None
-        moved = np.diff(last.candidates[:, row - 1 : row + 1, self.at.trunk], axis=1)[:, 0]
-        x, y, *_ = weights @ moved / (weights.sum() * last.period)
+        moved = np.diff(last.candidates[:, row - 1 : row + 1, self.at.trunk][..., :2], axis=1)[:, 0]
+        x, y = weights @ moved / (weights.sum() * last.period)
         speed = float(cos(state.trunk.yaw) * x + sin(state.trunk.yaw) * y)
         time = last.start - last.period + self.lead
         return _Expected(time, speed, box_friction(last.belief), self.wrong)

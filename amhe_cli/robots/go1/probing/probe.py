@@ -22,6 +22,7 @@ from amhe_cli.live.recorder import drive
 from amhe_cli.logs import read_log
 from amhe_cli.robots.go1.judge import History
 from amhe_cli.robots.go1.model import SYSTEM
+from amhe_cli.robots.go1.plant import find_plant
 from amhe_cli.robots.go1.probing.motions import (
     APPROACH,
     MOTIONS,
@@ -81,6 +82,7 @@ class PushProbe:
         asked = {"unknowns": ["robot"]} if self._walks else {}
         self._own = system_of(RunOptions(self.task, settings=merged(asked, options.settings)), self._task)
         self.system: System = believing(self._own, options)
+        find_plant(options.plant)  # a wrong one is refused before the rehearsals
         if robot and options.box:
             raise ConfigError("`box`: the box of a real robot is as it is; leave it out")
         if robot:  # refuse wrong options before the rehearsals
@@ -221,11 +223,10 @@ class PushProbe:
         attend: Attend = lambda *_: nullcontext(),
     ) -> Ending:
         """Run to the end and record; a fall is an end too."""
-        history = History(run.task, compares=False)
+        history, what = History(run.task, compares=False), "walking" if self._walks else "pushing"
         with recorder_of(run, path) as recorder, attend(run.target, recorder, history):
-            ending = drive(
-                run.episode, recorder, history, stopped, lambda _, row: say(f"pushing, {row['time']:.1f} s")
-            )
+            show = lambda _, row: say(f"{what}, {row['time']:.1f} s")  # noqa: E731
+            ending = drive(run.episode, recorder, history, stopped, show)
         if run.judge.fell and ending.error is None:
             return Ending(error=SimulationError("the robot fell; the log up to there is kept"))
         return ending
