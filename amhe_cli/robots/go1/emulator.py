@@ -169,11 +169,10 @@ class RobotPort:
 
     Args:
         host, port: Address to bind.
-        faults: What goes wrong on the way.
+        faults: What goes wrong; `cause` replaces it.
         crc: Form of the states' checksums.
 
     Attributes:
-        faults: What goes wrong.
         command: The newest good command; before the first, one that does nothing in damping mode.
         accepted, rejected: Number of datagrams so far.
         undisturbed: Loss, duplicates, damage and delay have not begun.
