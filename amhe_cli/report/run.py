@@ -138,12 +138,18 @@ def statements(record: Mapping[str, Any], task: TaskFacts) -> Iterator[Statement
 
 def _belief(record: Mapping[str, Any]) -> Iterator[Statement]:
     if record["belief"]:
+        estimator, truth = record.get("estimator") or {}, record["truth"]
+        sd = estimator.get("sd", {})
         values = [
-            f"{name} {value:.3g}" + (f" ({record['truth'][name]:.3g})" if name in record["truth"] else "")
+            f"{name} {value:.3g}"
+            + (f" ± {sd[name]:.2g}" if name in sd else "")
+            + (f" ({truth[name]:.3g})" if name in truth else "")
             for name, value in record["belief"].items()
         ]
-        about = "Belief (truth)" if record["truth"] else "Belief"
-        yield Statement("good", f"{about} at the end: {', '.join(values)}.")
+        about = "Belief (truth)" if truth else "Belief"
+        learnt = not estimator or estimator["marks"].get("updated") or estimator["marks"].get("jump")
+        why = "" if learnt else "; no window has changed it yet"
+        yield Statement("good" if learnt else "mixed", f"{about} at the end: {', '.join(values)}{why}.")
 
 
 def _pace(record: Mapping[str, Any], period: float) -> Iterator[Statement]:

@@ -68,6 +68,18 @@ def test_used_windows_are_counted_and_troubles_are_stated() -> None:
 
 
 @pytest.mark.parametrize(
+    ("marks", "end"), [({"still": 3}, "; no window has changed it yet."), ({"updated": 1}, ".")]
+)
+def test_the_last_belief_has_its_sd_and_says_whether_a_window_has_changed_it(
+    marks: dict[str, int], end: str
+) -> None:
+    learnt = {"marks": marks, "troubles": [], "sd": {"box_mass": 0.456}}
+    assert f"box_mass 3 ± 0.46 (4){end}" in stated(
+        estimator=learnt, belief={"box_mass": 3.0}, truth={"box_mass": 4.0}
+    )
+
+
+@pytest.mark.parametrize(
     ("changed", "expected"),
     [
         ({}, ("good", "success, on time")),
