@@ -147,14 +147,13 @@ def mended(system: System, parts: Sequence[Window], rng: np.random.Generator) ->
     part = max(parts, key=lambda one: one.length)
     candidates = [] if system.match == "effort" else list(_candidates(system))
     tried = len(candidates)
-    look = glance = _Look.at(system, part, _GLANCE) if 0 < tried <= _MOST else None
-    if look is not None and look.rows is not None:
-        look = _Look.at(system, part)
-    elif look is not None:  # rollouts take their time
-        look, glance = look if tried <= _ROLLED else None, None
+    glance = _Look.at(system, part, _GLANCE) if 0 < tried <= _MOST else None
+    if glance is None or (glance.rows is None and tried > _ROLLED):
+        return []
+    look = glance if glance.rows is None else _Look.at(system, part)  # rollouts take their time
     if look is None or (start := look.left()) is None:
         return []
-    if glance is not None and (as_is := glance.left()) is not None:
+    if look is not glance and (as_is := glance.left()) is not None:
         candidates = [
             one for one in candidates if (left := glance.left(one.mend)) is None or left.sum() < as_is.sum()
         ]

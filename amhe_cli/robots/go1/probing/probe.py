@@ -224,8 +224,11 @@ class PushProbe:
     ) -> Ending:
         """Run to the end and record; a fall is an end too."""
         history, what = History(run.task, compares=False), "walking" if self._walks else "pushing"
+
+        def show(_: object, row: dict[str, float]) -> None:
+            say(f"{what}, {row['time']:.1f} s")
+
         with recorder_of(run, path) as recorder, attend(run.target, recorder, history):
-            show = lambda _, row: say(f"{what}, {row['time']:.1f} s")  # noqa: E731
             ending = drive(run.episode, recorder, history, stopped, show)
         if run.judge.fell and ending.error is None:
             return Ending(error=SimulationError("the robot fell; the log up to there is kept"))
